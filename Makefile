@@ -1,0 +1,40 @@
+# Two environments from two locks: .venv runs Tutti, .venv-dev also tests and checks it. Set-up is skipped
+# while the stamp is newer than the lock and pyproject.toml.
+PYTHON ?= python3
+PIP = -m pip --disable-pip-version-check --quiet
+VECTORS = tests/contract/vectors
+
+.PHONY: demo test check lock clean
+
+.venv/.stamp: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit("Tutti needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv --clear .venv
+	.venv/bin/python $(PIP) install --require-hashes -r requirements.lock
+	.venv/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+	touch $@
+
+.venv-dev/.stamp: requirements-dev.lock pyproject.toml
+	$(PYTHON) -m venv --clear .venv-dev
+	.venv-dev/bin/python $(PIP) install --require-hashes -r requirements-dev.lock
+	.venv-dev/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+	touch $@
+
+demo: .venv/.stamp
+	.venv/bin/tutti demo
+
+test: .venv-dev/.stamp
+	.venv-dev/bin/pytest -n 2
+
+check: .venv-dev/.stamp
+	.venv-dev/bin/ruff check .
+	.venv-dev/bin/ruff format --check .
+	.venv-dev/bin/lint-imports
+	.venv-dev/bin/basedpyright
+
+# Needs uv; writes both locks anew from pyproject.toml.
+lock:
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+
+clean:
+	rm -rf .venv .venv-dev build *.egg-info

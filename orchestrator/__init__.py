@@ -1,0 +1,1 @@
+"""Tutti: the service, and the words everybody shares."""

@@ -1,0 +1,16 @@
+"""RFC 3339 text of instants."""
+
+from datetime import UTC, datetime, timedelta
+
+# Virtual time 0 is shown as this instant. Any fixed one will do; it must not depend on the machine.
+VIRTUAL_ZERO = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def rfc3339(instant: datetime) -> str:
+    """`instant` in UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
+    return instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def virtual_utc(now_ns: int) -> str:
+    """The UTC text that stands for `now_ns` of virtual time."""
+    return rfc3339(VIRTUAL_ZERO + timedelta(microseconds=now_ns // 1000))

@@ -1,0 +1,67 @@
+"""A controller's own crystal: its time against true time."""
+
+import random
+from dataclasses import dataclass, field
+
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Oscillator:
+    """Device time as a function of true time, strictly increasing: offset, constant drift, slow wander.
+
+    The wander is a random walk of the rate, stepped once a second of true time, so device time is
+    piecewise linear and both directions are exact to 1 ns. An oscillator without drift and wander is
+    the identity plus offset.
+
+    offset_ns: device time at true time 0. drift_ppm: constant error of the rate, parts per million.
+    wander_ppm: standard deviation of the rate's step in one second (ppm/sqrt(s)). seed: of the wander.
+    """
+
+    offset_ns: int = 0
+    drift_ppm: float = 0.0
+    wander_ppm: float = 0.0
+    seed: int = 0
+    _random: random.Random = field(init=False, repr=False)
+    _rates: list[float] = field(init=False, repr=False)  # device ns per true ns, in each second
+    _starts: list[int] = field(init=False, repr=False)  # device ns at the start of each second
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
+        self._rates = [1.0 + self.drift_ppm * 1e-6]
+        self._starts = [self.offset_ns]
+
+    def device_ns(self, true_ns: int) -> int:
+        """Device time at `true_ns` (>= 0)."""
+        if not self.wander_ppm:
+            return self.offset_ns + true_ns + round(true_ns * self.drift_ppm * 1e-6)
+        second, rest_ns = divmod(true_ns, _NS_PER_S)
+        self._extend(second)
+        return self._starts[second] + round(rest_ns * self._rates[second])
+
+    def true_ns(self, device_ns: int) -> int:
+        """The first true instant at which device time has reached `device_ns`; 0 if it always had."""
+        elapsed_ns = device_ns - self.offset_ns
+        if elapsed_ns <= 0:
+            return 0
+        if not self.wander_ppm:
+            guess_ns = round(elapsed_ns / self._rates[0])
+        else:
+            second = elapsed_ns // _NS_PER_S
+            self._extend(second + 1)
+            while self._starts[second] > device_ns:
+                second -= 1
+            while self._starts[second + 1] <= device_ns:
+                second += 1
+                self._extend(second + 1)
+            guess_ns = second * _NS_PER_S + round((device_ns - self._starts[second]) / self._rates[second])
+        while self.device_ns(guess_ns) < device_ns:
+            guess_ns += 1
+        while guess_ns > 0 and self.device_ns(guess_ns - 1) >= device_ns:
+            guess_ns -= 1
+        return guess_ns
+
+    def _extend(self, second: int) -> None:
+        while len(self._rates) <= second:
+            self._starts.append(self._starts[-1] + round(_NS_PER_S * self._rates[-1]))
+            self._rates.append(self._rates[-1] + self._random.gauss(0.0, self.wander_ppm) * 1e-6)
