@@ -1,0 +1,267 @@
+"""Virtual time: an asyncio loop whose time jumps to the next timer, with processes that can hang and die.
+
+Everything that a virtual process schedules carries the process in its context. A handle of a frozen process
+is parked until the process is resumed; a handle of a killed one is dropped, so that no `finally` of it runs,
+as after `kill -9`. Ties are run in the order in which they were asked for, so a run depends on nothing but its seeds.
+"""
+
+import asyncio
+import heapq
+from collections import deque
+from collections.abc import Callable, Coroutine
+from contextvars import Context, ContextVar, copy_context
+from typing import Any, TypeVar
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.utc import virtual_utc
+
+T = TypeVar("T")
+
+
+class VirtualDeadlock(Exception):
+    """The main coroutine waits, and nothing is left that could ever happen."""
+
+
+class Process:
+    """A process of the virtual fleet: what runs in its context can be frozen (SIGSTOP) and killed (SIGKILL)."""
+
+    def __init__(self, loop: "VirtualLoop", name: str) -> None:
+        self.name = name
+        self.alive = True
+        self.frozen = False
+        self._loop = loop
+        self._parked: list[_Handle] = []
+        self._on_death: list[Callable[[], None]] = []
+
+    def run(self, function: Callable[[], T]) -> T:
+        """Call `function` as a part of this process; tasks that it creates belong to the process."""
+
+        def within() -> T:
+            _PROCESS.set(self)
+            return function()
+
+        return copy_context().run(within)
+
+    def start(self, coroutine: Coroutine[Any, Any, T]) -> "asyncio.Task[T]":
+        """Run `coroutine` as a task of this process."""
+        return self.run(lambda: self._loop.create_task(coroutine))
+
+    def on_death(self, callback: Callable[[], None]) -> None:
+        """What the kernel does when the process dies: close its sockets, drop its sessions."""
+        self._on_death.append(callback)
+
+    def freeze(self) -> None:
+        """Like SIGSTOP: nothing of the process runs, its timers included."""
+        self.frozen = True
+
+    def resume(self) -> None:
+        """Like SIGCONT: everything that was due meanwhile runs now, in its order."""
+        self.frozen = False
+        parked, self._parked = self._parked, []
+        self._loop.requeue(parked)
+
+    def kill(self) -> None:
+        """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead one."""
+        if not self.alive:
+            return
+        self.alive = False
+        for callback in self._on_death:
+            self._loop.call_soon(callback, context=Context())
+
+    def admits(self, handle: "_Handle") -> bool:
+        """Whether `handle` may run now; parks it when the process is frozen."""
+        if self.alive and self.frozen:
+            self._parked.append(handle)
+        return self.alive and not self.frozen
+
+
+_PROCESS: ContextVar[Process | None] = ContextVar("process", default=None)
+
+
+class _Handle:
+    """A call to be made: what `call_soon` and `call_at` return."""
+
+    __slots__ = ("args", "callback", "context", "when_ns")
+
+    def __init__(
+        self, callback: Callable[..., object], args: tuple[Any, ...], context: Context | None, when_ns: int = 0
+    ) -> None:
+        self.callback: Callable[..., object] | None = callback
+        self.args = args
+        self.context = copy_context() if context is None else context
+        self.when_ns = when_ns
+
+    def cancel(self) -> None:
+        self.callback = None
+        self.args = ()
+
+    def cancelled(self) -> bool:
+        return self.callback is None
+
+    def when(self) -> float:
+        return self.when_ns / NS_PER_S
+
+
+class VirtualLoop(asyncio.AbstractEventLoop):
+    """An event loop without input and output: it runs what is ready, then jumps to the next timer."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self._ready: deque[_Handle] = deque()
+        self._timers: list[tuple[int, int, _Handle]] = []
+        self._asked = 0
+        self._stopping = False
+        self._running = False
+        self._closed = False
+        self._errors: list[BaseException] = []
+        self._tasks: list[asyncio.Task[Any]] = []
+
+    # Time
+
+    def time(self) -> float:
+        return self.now_ns / NS_PER_S
+
+    def call_at_ns(self, at_ns: int, callback: Callable[..., object], *args: Any, context: Context | None = None):
+        """Like `call_at`, in whole nanoseconds."""
+        handle = _Handle(callback, args, context, max(at_ns, self.now_ns))
+        heapq.heappush(self._timers, (handle.when_ns, self._asked, handle))
+        self._asked += 1
+        return handle
+
+    def call_at(self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None) -> Any:
+        return self.call_at_ns(round(when * NS_PER_S), callback, *args, context=context)
+
+    def call_later(
+        self, delay: float, callback: Callable[..., object], *args: Any, context: Context | None = None
+    ) -> Any:
+        return self.call_at_ns(self.now_ns + round(delay * NS_PER_S), callback, *args, context=context)
+
+    def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> Any:
+        handle = _Handle(callback, args, context)
+        self._ready.append(handle)
+        return handle
+
+    def requeue(self, handles: list[_Handle]) -> None:
+        """Make parked handles ready again."""
+        self._ready.extend(handles)
+
+    # Running
+
+    def run_forever(self) -> None:
+        asyncio._set_running_loop(self)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+        self._running = True
+        try:
+            while not self._stopping:
+                self._run_one()
+        finally:
+            self._running = False
+            self._stopping = False
+            asyncio._set_running_loop(None)  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+
+    def run_until_complete(self, future: Any) -> Any:
+        task: asyncio.Future[Any] = asyncio.ensure_future(future, loop=self)
+        task.add_done_callback(lambda _: self.stop())
+        self.run_forever()
+        if self._errors:
+            raise self._errors[0]
+        return task.result()
+
+    def _run_one(self) -> None:
+        if not self._ready:
+            while self._timers and self._timers[0][2].callback is None:
+                heapq.heappop(self._timers)
+            if not self._timers:
+                raise VirtualDeadlock(f"nothing is left to happen at {self.now_ns} ns of virtual time")
+            self.now_ns = self._timers[0][0]
+            while self._timers and self._timers[0][0] == self.now_ns:
+                self._ready.append(heapq.heappop(self._timers)[2])
+        handle = self._ready.popleft()
+        callback = handle.callback
+        if callback is None:
+            return
+        process = handle.context.get(_PROCESS)
+        if process is not None and not process.admits(handle):
+            return
+        try:
+            handle.context.run(callback, *handle.args)
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self.call_exception_handler({"message": f"error in {callback!r}", "exception": error})
+
+    def stop(self) -> None:
+        self._stopping = True
+
+    def is_running(self) -> bool:
+        return self._running
+
+    def is_closed(self) -> bool:
+        return self._closed
+
+    def close(self) -> None:
+        """End: what never finished is dropped without a word, because its process is gone with the loop."""
+        self._closed = True
+        self._ready.clear()
+        self._timers.clear()
+        for task in self._tasks:
+            if not task.done():
+                task._log_destroy_pending = False  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue]
+
+    def call_exception_handler(self, context: dict[str, Any]) -> None:
+        """An error that nobody awaited stops the run: in virtual time it is always a defect."""
+        error = context.get("exception")
+        self._errors.append(error if isinstance(error, BaseException) else RuntimeError(str(context.get("message"))))
+        self.stop()
+
+    # What asyncio asks of a loop
+
+    def create_future(self) -> "asyncio.Future[Any]":
+        return asyncio.Future(loop=self)
+
+    def create_task(self, coro: Any, *, name: str | None = None, context: Context | None = None) -> Any:
+        task: asyncio.Task[Any] = asyncio.Task(coro, loop=self, name=name, context=context)
+        self._tasks.append(task)
+        if len(self._tasks) > 4096:
+            self._tasks = [each for each in self._tasks if not each.done()]
+        return task
+
+    def get_debug(self) -> bool:
+        return False
+
+    async def shutdown_asyncgens(self) -> None:
+        return
+
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+        return
+
+
+class VirtualClock:
+    """The `Clock` of a virtual loop."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.loop = loop
+
+    @property
+    def kernel_id(self) -> str:
+        return "virtual"
+
+    def now_ns(self) -> int:
+        return self.loop.now_ns
+
+    def utc(self) -> str:
+        return virtual_utc(self.loop.now_ns)
+
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> _Handle:
+        return self.loop.call_at_ns(at_ns, callback)
+
+
+def run_virtual(main: Callable[[VirtualClock], Coroutine[Any, Any, T]]) -> T:
+    """Run `main(clock)` to its end in virtual time and return its result.
+
+    Raises what `main` raises, the first error of any task that nobody awaited, or `VirtualDeadlock`.
+    """
+    loop = VirtualLoop()
+    try:
+        return loop.run_until_complete(main(VirtualClock(loop)))
+    finally:
+        loop.close()
