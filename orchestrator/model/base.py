@@ -1,0 +1,67 @@
+"""What all models have in common: strict, frozen, finite."""
+
+from fractions import Fraction
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
+
+ID_PATTERN = r"^[a-z0-9_-]+$"
+
+Id = Annotated[str, Field(pattern=ID_PATTERN, min_length=1, max_length=64)]
+"""An id as it stands in a bus key."""
+
+# JSON numbers are doubles to many readers: integers stay exact below 2^53.
+Int53 = Annotated[int, Field(ge=-(2**53 - 1), le=2**53 - 1)]
+
+HostNs = Annotated[int, BeforeValidator(lambda value: int(value)), PlainSerializer(str, when_used="json")]
+"""A host instant in ns. It may pass 2^53 (104 days after boot), so it crosses the bus as decimal text."""
+
+
+def parse_rational(value: object) -> Fraction:
+    """An exact rational from an int, `"10000/3"` or `"0.25"`; a float is taken as the decimal it prints as."""
+    if isinstance(value, Fraction):
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
+    try:
+        return Fraction(str(value).replace(" ", ""))
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f'{value!r} is no number; write e.g. 400, 0.25, or "10000/3"') from None
+
+
+Rational = Annotated[
+    Fraction,
+    BeforeValidator(parse_rational),
+    PlainSerializer(str),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "pattern": r"^[-+]?[0-9.]+(/[0-9]+)?$"}]}),
+]
+
+
+class UnknownName(ValueError):
+    """A reference to something that the file does not define. `name` is the text of the reference."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self.name = name
+
+
+class Model(BaseModel):
+    """A frozen value: unknown fields are refused, and no number is infinite or NaN."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        serialize_by_alias=True,
+        validate_by_name=True,
+        validate_by_alias=True,
+    )
+
+    def to_json(self) -> bytes:
+        """The bus form: UTF-8 JSON."""
+        return self.model_dump_json().encode()
+
+    def to_plain(self) -> dict[str, Any]:
+        """The JSON form as plain Python values."""
+        return self.model_dump(mode="json")

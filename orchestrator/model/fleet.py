@@ -1,0 +1,291 @@
+"""The fleet file: controllers, their links, axes, inputs and outputs, wiring, groups."""
+
+import hashlib
+import json
+from fractions import Fraction
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from orchestrator.model.base import Id, Model, Rational, UnknownName
+from orchestrator.model.units import Quantity, Unit, parse_quantity
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class TcpLink(Model):
+    """A controller behind a TCP port."""
+
+    kind: Literal["tcp"] = "tcp"
+    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    port: int = Field(ge=1, le=65535)
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share."""
+        return f"tcp {self.host}:{self.port}"
+
+
+class SerialLink(Model):
+    """A controller behind a serial port."""
+
+    kind: Literal["serial"]
+    device: str = Field(description="The port, best by a stable name, e.g. /dev/serial/by-id/….")
+    baud: int = Field(default=38400, gt=0)
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    rtscts: bool = Field(default=False, description="Hardware handshake by RTS and CTS.")
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share."""
+        return f"serial {self.device}"
+
+
+Link = Annotated[TcpLink | SerialLink, Field(discriminator="kind")]
+
+
+class Limits(Model):
+    """What an axis may do at most, in its unit per second (², ³)."""
+
+    velocity: Positive
+    acceleration: Positive
+    jerk: Positive | None = Field(default=None, description="Without it the axis is planned with trapezoids.")
+
+
+class SoftLimits(Model):
+    """The range of absolute positions that commands may reach, ends included."""
+
+    min: Quantity
+    max: Quantity
+
+
+class Homing(Model):
+    """How an axis finds its reference."""
+
+    method: str = Field(default="default", description="A method of the make; `default` is its usual one.")
+    direction: Literal["negative", "positive"] = "negative"
+    speed: Positive | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
+    search_speed: Positive | None = Field(default=None, description="Speed of the fine search, where the make has it.")
+    timeout_s: float = Field(default=60.0, gt=0, le=3600)
+
+
+class StartRate(Model):
+    """For steppers: the speeds, in unit/s, between which the motor may start and stop without a ramp."""
+
+    min: float = Field(ge=0)
+    max: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "StartRate":
+        if self.min > self.max:
+            raise ValueError(f"start_rate.min ({self.min}) is above start_rate.max ({self.max}); swap them")
+        return self
+
+
+class Axis(Model):
+    """One coordinate of the fleet."""
+
+    motors: list[str] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
+    unit: Unit
+    scale: Rational = Field(default=Fraction(1), description='Counts per unit, exact: 2000, "10000/3".')
+    sign: Literal[1, -1] = Field(default=1, description="-1 when the controller counts the other way.")
+    kind: Literal["linear", "rotary"] = "linear"
+    wrap: Quantity | None = Field(default=None, description="Rotary: the length of one turn, e.g. 360.")
+    shortest_way: bool = Field(default=False, description="Rotary: absolute targets are reached the shorter way.")
+    soft_limits: SoftLimits | None = None
+    limits: Limits
+    start_rate: StartRate | None = None
+    enable: Literal["manual", "per_job", "at_start"] = "manual"
+    homing: Homing = Homing()
+    done: Literal["profile", "in_position"] = "profile"
+    in_position_window: Positive | None = Field(default=None, description="Unit; needed with `done: in_position`.")
+    in_position_timeout_s: float = Field(default=2.0, gt=0, le=600)
+    following_error: Positive | None = Field(default=None, description="Unit; beyond it the axis faults.")
+    max_deviation: Positive | None = Field(default=None, description="Unit; between coupled motors.")
+
+    @field_validator("motors")
+    @classmethod
+    def _one_motor(cls, motors: list[str]) -> list[str]:
+        if len(motors) > 1:
+            raise ValueError(
+                f"{len(motors)} motors on one axis are not supported yet; give each motor an axis of its own"
+            )
+        return motors
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Axis":
+        if self.scale <= 0:
+            raise ValueError(f"scale is {self.scale}; it must be above 0 (use `sign: -1` to turn the direction)")
+        if self.kind == "linear" and (self.wrap is not None or self.shortest_way):
+            raise ValueError("wrap and shortest_way need `kind: rotary`")
+        if self.shortest_way and self.wrap is None:
+            raise ValueError("shortest_way needs `wrap`, the length of one turn")
+        if self.wrap is not None and parse_quantity(self.wrap, self.unit) <= 0:
+            raise ValueError("wrap must be above 0")
+        if self.done == "in_position" and self.in_position_window is None:
+            raise ValueError("`done: in_position` needs in_position_window")
+        if self.soft_limits is not None:
+            low = parse_quantity(self.soft_limits.min, self.unit)
+            high = parse_quantity(self.soft_limits.max, self.unit)
+            if low >= high:
+                raise ValueError(f"soft_limits.min ({self.soft_limits.min}) is not below max ({self.soft_limits.max})")
+        return self
+
+    @property
+    def counts_per_unit(self) -> Fraction:
+        """Signed counts of the controller per unit."""
+        return self.scale * self.sign
+
+    def to_counts(self, position: Fraction) -> int:
+        """The count nearest to `position` (in the axis's unit)."""
+        return round(position * self.counts_per_unit)
+
+    def to_unit(self, counts: float) -> float:
+        """`counts` in the axis's unit."""
+        return float(counts / float(self.counts_per_unit))
+
+    @property
+    def soft_limits_counts(self) -> tuple[int, int] | None:
+        """The soft limits as (low, high) counts of the controller, rounded inwards; None without limits."""
+        if self.soft_limits is None:
+            return None
+        ends = [
+            parse_quantity(end, self.unit) * self.counts_per_unit
+            for end in (self.soft_limits.min, self.soft_limits.max)
+        ]
+        low, high = min(ends), max(ends)
+        return -((-low.numerator) // low.denominator), high.numerator // high.denominator
+
+
+class Input(Model):
+    """A digital input with a name."""
+
+    number: int = Field(ge=1)
+    active: Literal["high", "low"] = "high"
+
+
+class Output(Model):
+    """A digital output with a name."""
+
+    number: int = Field(ge=1)
+    active: Literal["high", "low"] = "high"
+    safe: bool | None = Field(default=None, description="State to take on a stop of the fleet; none: leave it.")
+
+
+class StateRates(Model):
+    """How often a controller's state is read and put on the bus, in Hz."""
+
+    moving_hz: float = Field(default=10.0, gt=0, le=200)
+    idle_hz: float = Field(default=5.0, gt=0, le=200)
+
+
+class Controller(Model):
+    """One physical motion controller."""
+
+    adapter: str = Field(description="The make's adapter, e.g. smc4000, shrc203.")
+    link: Link
+    host: Id = Field(default="local", description="The adapter host that drives it.")
+    options: dict[str, Any] = Field(default={}, description="The adapter's own options.")
+    simulate: dict[str, Any] = Field(default={}, description="Options of its simulator, for `--sim` and tests.")
+    axes: dict[Id, Axis] = Field(min_length=1)
+    inputs: dict[Id, Input] = Field(default={})
+    outputs: dict[Id, Output] = Field(default={})
+    state: StateRates = StateRates()
+
+    @model_validator(mode="after")
+    def _motors_once(self) -> "Controller":
+        seen: dict[str, str] = {}
+        for name, axis in self.axes.items():
+            for motor in axis.motors:
+                if motor in seen:
+                    raise ValueError(f"motor {motor} belongs to axis {seen[motor]} and axis {name}; give it to one")
+                seen[motor] = name
+        for kind, points in (("input", self.inputs), ("output", self.outputs)):
+            numbers: dict[int, str] = {}
+            for name, point in points.items():
+                if point.number in numbers:
+                    raise ValueError(f"{kind} {point.number} is named twice: {numbers[point.number]} and {name}")
+                numbers[point.number] = name
+        return self
+
+    @property
+    def digest(self) -> str:
+        """Names this configuration: equal digests mean equal configuration on both sides of the bus."""
+        text = json.dumps(self.to_plain(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class Wire(Model):
+    """An output of one controller that is wired to inputs of others."""
+
+    from_: str = Field(alias="from", description="controller.output")
+    to: list[str] = Field(min_length=1, description="controller.input, one or more")
+
+
+class Fleet(Model):
+    """All controllers that share one name space on the bus."""
+
+    schema_: Literal["tutti.fleet/1"] = Field(alias="schema")
+    fleet: Id
+    controllers: dict[Id, Controller] = Field(min_length=1)
+    wiring: list[Wire] = Field(default=[])
+    groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
+    home_order: list[str] = Field(default=[], description="Groups or axes, homed one after another.")
+
+    @field_validator("controllers")
+    @classmethod
+    def _one_controller_a_link(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
+        places: dict[str, str] = {}
+        for name, controller in controllers.items():
+            place = controller.link.place
+            if place in places:
+                raise ValueError(
+                    f"{places[place]} and {name} are both on {place}; a port can carry one controller of this kind"
+                )
+            places[place] = name
+        return controllers
+
+    @model_validator(mode="after")
+    def _references(self) -> "Fleet":
+        for group, members in self.groups.items():
+            if group in self.controllers:
+                raise ValueError(f"group {group} has the name of a controller; rename one of them")
+            for member in members:
+                self.axis(member)
+        for entry in self.home_order:
+            if entry not in self.groups:
+                self.axis(entry)
+        for wire in self.wiring:
+            self._point(wire.from_, "outputs")
+            for end in wire.to:
+                self._point(end, "inputs")
+        return self
+
+    def _point(self, name: str, side: Literal["inputs", "outputs"]) -> None:
+        controller, _, point = name.partition(".")
+        if controller not in self.controllers or point not in getattr(self.controllers[controller], side):
+            known = [f"{c}.{p}" for c, each in self.controllers.items() for p in getattr(each, side)]
+            raise UnknownName(name, f"{name} is none of the fleet's {side}; known: {', '.join(known) or 'none'}")
+
+    def axis(self, name: str) -> Axis:
+        """The axis `controller.axis`. `UnknownName` lists the known ones."""
+        controller, _, axis = name.partition(".")
+        if controller not in self.controllers or axis not in self.controllers[controller].axes:
+            raise UnknownName(name, f"the fleet has no axis {name}; its axes are: {', '.join(self.axis_names)}")
+        return self.controllers[controller].axes[axis]
+
+    @property
+    def axis_names(self) -> list[str]:
+        """All axes, as `controller.axis`, in the order of the file."""
+        return [f"{c}.{a}" for c, controller in self.controllers.items() for a in controller.axes]
+
+    def expand(self, name: str) -> list[str]:
+        """The axes that `name` stands for: a group, a controller, or one axis. `UnknownName` if none."""
+        if name in self.groups:
+            return list(self.groups[name])
+        if name in self.controllers:
+            return [f"{name}.{axis}" for axis in self.controllers[name].axes]
+        self.axis(name)
+        return [name]

@@ -1,0 +1,110 @@
+"""The job file: a list of steps for the whole fleet."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from orchestrator.model.base import Model
+from orchestrator.model.duration import Duration
+from orchestrator.model.units import Quantity
+
+Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
+
+
+class StepBase(Model):
+    """What every step may have."""
+
+    name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
+
+
+class Move(StepBase):
+    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one."""
+
+    do: Literal["move"]
+    to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
+    by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
+    speed: float = Field(default=1.0, gt=0, le=1, description="Fraction of each axis's velocity limit.")
+    sync: Literal["time", "phase", "none"] = Field(
+        default="time", description="time: end together; phase: a straight line in axis space; none: each its fastest."
+    )
+    ramps: Literal["common", "own"] = Field(
+        default="common", description="Trapezoids under `sync: time`: one ramp time for all, or each its steepest."
+    )
+    start: Literal["auto", "clock", "host"] = Field(default="auto", description="Start class to use, if not the best.")
+    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's.")
+    max_end_skew: Duration | None = Field(default=None, description="Overrides the job's.")
+
+    @model_validator(mode="after")
+    def _targets(self) -> "Move":
+        if not self.to and not self.by:
+            raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
+        twice = sorted(self.to.keys() & self.by.keys())
+        if twice:
+            raise ValueError(f"{', '.join(twice)} stands in both `to` and `by`; an axis has one target")
+        return self
+
+
+class Home(StepBase):
+    """Find the reference of axes; without `axes`, of the whole fleet in its `home_order`."""
+
+    do: Literal["home"]
+    axes: Axes | None = None
+
+
+class Enable(StepBase):
+    """Switch motors on."""
+
+    do: Literal["enable"]
+    axes: Axes
+
+
+class Disable(StepBase):
+    """Switch motors off."""
+
+    do: Literal["disable"]
+    axes: Axes
+
+
+class Dwell(StepBase):
+    """Wait."""
+
+    do: Literal["dwell"]
+    duration: Duration
+
+
+class SetOutput(StepBase):
+    """Switch a named output."""
+
+    do: Literal["output"]
+    output: str = Field(description="controller.output")
+    value: bool = Field(description="true: active")
+
+
+class WaitInput(StepBase):
+    """Wait for a named input."""
+
+    do: Literal["wait"]
+    input: str = Field(description="controller.input")
+    value: bool = Field(default=True, description="true: active")
+    timeout: Duration
+
+
+Step = Annotated[Move | Home | Enable | Disable | Dwell | SetOutput | WaitInput, Field(discriminator="do")]
+
+
+class Job(Model):
+    """What a user asks the fleet to do."""
+
+    schema_: Literal["tutti.job/1"] = Field(alias="schema")
+    name: str = Field(min_length=1, max_length=120)
+    actor: str = Field(default="unknown", min_length=1, max_length=80, description="Who asks.")
+    max_start_skew: Duration = Field(default=10_000_000, description="Largest spread of the axes' starts.")
+    max_end_skew: Duration = Field(default=20_000_000, description="Largest spread of the axes' planned ends.")
+    steps: list[Step] = Field(min_length=1, max_length=10_000)
+
+    @field_validator("max_start_skew", "max_end_skew")
+    @classmethod
+    def _above_zero(cls, value: int) -> int:
+        if value <= 0:
+            raise ValueError("must be above 0")
+        return value

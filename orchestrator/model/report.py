@@ -1,0 +1,127 @@
+"""What a job did: its progress while it runs, and the record afterwards."""
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from orchestrator.model.base import Int53, Model
+from orchestrator.model.messages import Refusal, Term
+from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
+
+JobState = Literal[
+    "queued",
+    "planning",
+    "arming",
+    "armed",
+    "committed",
+    "running",
+    "done",
+    "failed",
+    "cancelled",
+    "aborted",
+    "interrupted",
+]
+ENDED: frozenset[str] = frozenset({"done", "failed", "cancelled", "aborted", "interrupted"})
+
+
+class Transition(Model):
+    """A change of a job's state: why, by whom, when."""
+
+    state: JobState
+    reason: str
+    actor: str
+    utc: str
+    fleet_ns: Int53 | None = None
+
+
+class Progress(Model):
+    """A job as it stands, on `job/{id}/state`."""
+
+    schema_: Literal["tutti.progress/1"] = Field(default="tutti.progress/1", alias="schema")
+    job_id: str
+    name: str
+    actor: str
+    state: JobState
+    step: int
+    steps: int
+    step_name: str
+    fraction: float = Field(ge=0, le=1)
+    remaining_s: float | None
+    reason: str
+    utc: str
+
+
+class Skew(Model):
+    """A spread of instants that is known only as an interval, in ns."""
+
+    at_least_ns: Int53
+    at_most_ns: Int53
+
+
+class MemberBudget(Model):
+    """The predicted start of one member against T0, term by term."""
+
+    terms: list[Term]
+    earliest_ns: Int53
+    latest_ns: Int53
+
+
+class Budget(Model):
+    """The predicted start skew of a step, guaranteed, and who makes it worst."""
+
+    predicted_ns: Int53
+    allowed_ns: Int53
+    worst_member: str
+    worst_term: str
+    members: dict[str, MemberBudget]
+
+
+class MemberReport(Model):
+    """One member's part in a step."""
+
+    start_class: StartClass
+    axes: list[str]
+    armed_in_ns: Int53 = 0
+    stages_ns: dict[str, Int53] = Field(default={})
+    mapping: ClockMapping | None = None
+    planned_s: dict[str, float] = Field(default={})
+    lowered_s: dict[str, float] = Field(default={})
+    evidence: dict[str, AxisEvidence] = Field(default={})
+
+
+class StepReport(Model):
+    """What one step did."""
+
+    index: int
+    do: str
+    name: str
+    state: Literal["done", "failed", "skipped", "stopped"]
+    reason: str = ""
+    planned_s: float | None = None
+    actual_s: float | None = None
+    t0_fleet_ns: Int53 | None = None
+    members: dict[str, MemberReport] = Field(default={})
+    budget: Budget | None = None
+    start_skew: Skew | None = None
+    end_skew: Skew | None = None
+    verdict: Literal["green", "amber", "red", "none"] = "none"
+    refused: Refusal | None = None
+
+
+class JobReport(Model):
+    """The record of a job, on `job/{id}/report` and in the journal."""
+
+    schema_: Literal["tutti.report/1"] = Field(default="tutti.report/1", alias="schema")
+    job_id: str
+    name: str
+    actor: str
+    state: JobState
+    reason: str
+    epoch: Int53
+    submitted_utc: str
+    started_utc: str | None = None
+    ended_utc: str | None = None
+    max_start_skew_ns: Int53
+    steps: list[StepReport] = Field(default=[])
+    transitions: list[Transition] = Field(default=[])
+    notes: dict[str, Any] = Field(default={})

@@ -1,0 +1,175 @@
+"""What an adapter says of its controller: state, events, information, clock."""
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from orchestrator.model.base import HostNs, Id, Int53, Model
+
+Mode = Literal["offline", "idle", "armed", "committed", "moving", "homing", "stopping", "fault"]
+StartClass = Literal["clock", "line", "sync", "host"]
+
+
+class Fault(Model):
+    """Something that keeps a controller from working, and what to do about it."""
+
+    code: str
+    text: str
+    remedy: str
+    axis: str | None = None
+
+
+class AxisState(Model):
+    """One axis now. Positions and velocity are in the axis's unit; counts are the controller's."""
+
+    position: float
+    commanded: float
+    velocity: float
+    commanded_counts: Int53
+    unit: str
+    moving: bool
+    enabled: bool
+    referenced: bool
+    limit: Literal["none", "forward", "reverse", "both"] = "none"
+    fault: str | None = None
+
+
+class ClockQuality(Model):
+    """How well the controller's clock is known."""
+
+    bound_ns: Int53
+    age_ns: Int53
+    samples: int
+
+
+class EstopLatch(Model):
+    """An e-stop that has not been reset. `event` names it."""
+
+    event: str
+    actor: str
+    reason: str
+    utc: str
+
+
+class ControllerState(Model):
+    """The full state of a controller: on change, at the fleet file's rates, and as heartbeat."""
+
+    schema_: Literal["tutti.state/1"] = Field(default="tutti.state/1", alias="schema")
+    controller: Id
+    instance: str
+    seq: Int53
+    utc: str
+    fleet_ns: Int53 | None
+    mode: Mode
+    axes: dict[str, AxisState]
+    inputs: dict[str, bool]
+    outputs: dict[str, bool]
+    faults: list[Fault]
+    clock: ClockQuality | None
+    estop: EstopLatch | None
+    epoch: Int53
+    digest: str
+    job: str | None = None
+    step: int | None = None
+
+
+class Interval(Model):
+    """An instant of fleet time that is not known better than this; the truth lies inside, ends included."""
+
+    earliest_ns: Int53
+    latest_ns: Int53
+
+
+class AxisEvidence(Model):
+    """When an axis really started and ended, by its controller's own evidence."""
+
+    start: Interval
+    end: Interval | None = None
+
+
+class Event(Model):
+    """What must not be lost. Numbered without gaps within an adapter's instance."""
+
+    schema_: Literal["tutti.event/1"] = Field(default="tutti.event/1", alias="schema")
+    controller: Id
+    instance: str
+    seq: Int53
+    utc: str
+    fleet_ns: Int53 | None
+    kind: Literal[
+        "online",
+        "offline",
+        "fault",
+        "cleared",
+        "limit",
+        "refusal",
+        "started",
+        "done",
+        "failed",
+        "stopped",
+        "disarmed",
+        "estop",
+        "reset",
+        "late",
+        "bus",
+    ]
+    text: str
+    job: str | None = None
+    step: int | None = None
+    evidence: dict[str, AxisEvidence] = Field(default={})
+    fault: Fault | None = None
+
+
+class EventsRequest(Model):
+    """Ask an adapter for the events after `after`."""
+
+    after: Int53
+
+
+class EventsReply(Model):
+    """Events still in the ring. `lost` counts those after `after` that the ring has dropped."""
+
+    instance: str
+    events: list[Event]
+    lost: int
+
+
+class Costs(Model):
+    """What it takes to arm, disarm and stop a controller, at most, in ns."""
+
+    arm_ns: Int53
+    disarm_ns: Int53
+    stop_ns: Int53
+
+
+class Info(Model):
+    """Who a controller is and what it can do."""
+
+    controller: Id
+    instance: str
+    make: str
+    model: str
+    firmware: str
+    serial: str
+    axes: dict[str, dict[str, Any]]
+    start_classes: list[StartClass]
+    orders: list[Literal[2, 3]] = Field(description="Profiles it can execute: 2 trapezoids, 3 jerk-limited.")
+    independent_axes: bool
+    costs: Costs
+    digest: str
+    options_schema: dict[str, Any]
+
+
+class ClockMapping(Model):
+    """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns."""
+
+    controller: Id
+    ticks_at: Int53
+    host_at_ns: HostNs
+    tick_ns: float
+    rate_ppm: float
+    residual_ns: Int53
+    bound_ns: Int53
+    samples: int
+    min_rtt_ns: Int53
+    valid_until_ns: HostNs
