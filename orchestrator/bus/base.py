@@ -1,8 +1,11 @@
 """What a bus is: keys, samples, requests, presence. Zenoh live, memory in virtual time; one contract suite for both.
 
 Delivery guarantees are what both can keep: samples are in order per key and priority and nothing more; a
-`droppable` sample may be lost; a request takes the first valid reply and never waits for the others.
+`STATE` sample may be lost; a request takes the first valid reply and never waits for the others.
 Callbacks and handlers run on the event loop of the process that declared them, one at a time.
+
+A bus latches nothing: who wants the last value of a key asks for it (`request`), and who puts it serves it.
+Keys and expressions are checked (`orchestrator.bus.expression`); a malformed one raises `ValueError`.
 """
 
 from collections.abc import Awaitable, Callable
@@ -39,8 +42,16 @@ class RequestRefused(Exception):
     """The serving side answered with an error; its text is the message."""
 
 
+class BusClosed(Exception):
+    """Used after `close()`. Stop what puts and asks before the bus is closed."""
+
+
 Handler = Callable[[Sample], Awaitable[bytes]]
-"""Answers a request: takes key and payload, gives the reply's payload. Raises `RequestRefused` to answer an error."""
+"""Answers a request: takes key and payload, gives the reply's payload. Raises `RequestRefused` to answer an error.
+
+Any other exception is reported to the event loop's exception handler and answered as an error that names it.
+The sample's key is what was asked for, or the served expression where a wildcard was asked for.
+"""
 
 
 class Declared(Protocol):
@@ -67,14 +78,15 @@ class Bus(Protocol):
         ...
 
     async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        """Ask on a key and take the first valid reply.
+        """Ask on a key and take the first valid reply. An error reply counts only when no valid one comes.
 
-        Raises `NoReply` as soon as the bus knows that nobody serves it, `RequestTimeout`, `RequestRefused`.
+        Raises `NoReply` as soon as the bus knows that nobody serves it, `RequestRefused`, or `RequestTimeout` after
+        `timeout_s`: also where this process is cut off, because then nobody knows who serves.
         """
         ...
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
-        """Ask everybody who serves a matching key; replies by key, those that came within `timeout_s`."""
+        """Ask everybody who serves a matching key; valid replies by key, those that came within `timeout_s`."""
         ...
 
     async def announce(self, key: str) -> Declared:

@@ -1,0 +1,69 @@
+"""How long the in-memory medium takes, and what waits in it before a process that does not run."""
+
+import random
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orchestrator.bus.base import Priority
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """One way through the medium, in nanoseconds: `least` to `most` about `median`, and a rare tail up to `tail`.
+
+    The defaults are of the order of a local broker. An e-stop is express and always takes the least.
+    """
+
+    least_ns: int = 40 * NS_PER_US
+    median_ns: int = 60 * NS_PER_US
+    most_ns: int = 200 * NS_PER_US
+    tail_ns: int = 5 * NS_PER_MS
+    tail_chance: float = 0.001
+
+    def draw_ns(self, rng: random.Random) -> int:
+        """One duration. Half of them are under the median; long ones are ever rarer."""
+        u = rng.random()
+        if u < self.tail_chance:
+            return self.most_ns + int((self.tail_ns - self.most_ns) * rng.random())
+        if u < 0.5:
+            return self.least_ns + int((self.median_ns - self.least_ns) * 2 * u)
+        return self.median_ns + int((self.most_ns - self.median_ns) * (2 * u - 1) ** 3)
+
+
+class Waiting:
+    """Calls that wait for a process to run again: e-stops first, droppable ones only up to a limit."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._droppable = 0
+        self._first: deque[Callable[[], None]] = deque()
+        self._others: deque[Callable[[], None]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._first) + len(self._others)
+
+    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+        """Keep `call`; a droppable one is lost when `limit` of them wait already."""
+        if priority is Priority.ESTOP:
+            self._first.append(call)
+            return
+        if priority is Priority.STATE:
+            if self._droppable >= self._limit:
+                return
+            self._droppable += 1
+        self._others.append(call)
+
+    def release(self) -> None:
+        """Make every call that waits now, in order."""
+        calls = [*self._first, *self._others]
+        self.clear()
+        for call in calls:
+            call()
+
+    def clear(self) -> None:
+        """Forget every call."""
+        self._first.clear()
+        self._others.clear()
+        self._droppable = 0

@@ -1,0 +1,59 @@
+"""What becomes of one request: the rules that both buses share for replies, refusals and silence."""
+
+import asyncio
+
+from orchestrator.bus.base import NoReply, RequestRefused, RequestTimeout
+
+
+class Outcome:
+    """Collects the replies to one request and settles its future once.
+
+    With `first_only` the first valid reply settles it; without, all valid replies until nobody is left to answer.
+    """
+
+    def __init__(self, key: str, timeout_s: float, *, first_only: bool) -> None:
+        self.key = key
+        self.settled: asyncio.Future[dict[str, bytes]] = asyncio.get_running_loop().create_future()
+        self._timeout_s = timeout_s
+        self._first_only = first_only
+        self._replies: dict[str, bytes] = {}
+        self._refusal: str | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether replies no longer count: settled, or given up by who asked."""
+        return self.settled.done()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """A valid reply came. Of several on one key the first counts."""
+        self._replies.setdefault(key, payload)
+        if self._first_only:
+            self._settle()
+
+    def refuse(self, text: str) -> None:
+        """An error reply came. It counts only when no valid one does; of several the first."""
+        if self._refusal is None:
+            self._refusal = text
+
+    def complete(self) -> None:
+        """Nobody is left who could still answer."""
+        self._settle(NoReply(f"nobody serves {self.key}"))
+
+    def expire(self) -> None:
+        """The time is up."""
+        self._settle(RequestTimeout(f"no valid reply on {self.key} within {self._timeout_s:g} s"))
+
+    def fail(self, reason: Exception) -> None:
+        """The bus cannot wait any longer."""
+        if not self.over:
+            self.settled.set_exception(reason)
+
+    def _settle(self, silence: Exception | None = None) -> None:
+        if self.over:
+            return
+        if self._replies or not self._first_only or silence is None:
+            self.settled.set_result(self._replies)
+        elif self._refusal is not None:
+            self.settled.set_exception(RequestRefused(self._refusal))
+        else:
+            self.settled.set_exception(silence)
