@@ -1,0 +1,225 @@
+"""Links in memory that model a wire, for virtual time: character times, latency and its tail, USB receive delay.
+
+Bytes in flight belong to the wire: they arrive although their sender has died meanwhile, and they are handed to
+the receiver in the receiver's own context, so that a frozen receiver takes them only when it is resumed.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from contextvars import Context, copy_context
+from dataclasses import dataclass, field
+from random import Random
+from typing import Protocol
+
+from orchestrator.clock.base import Clock
+from orchestrator.link.base import LinkClosed, LinkRefused, Received
+
+
+class FarConnection(Protocol):
+    """The controller's end of an open link."""
+
+    def receive(self, data: bytes) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class FarEnd(Protocol):
+    """A controller that links can be opened to."""
+
+    def connect(self, port: str, send: Callable[[bytes], None], closed: Callable[[], None]) -> FarConnection: ...
+
+
+@dataclass(frozen=True, slots=True)
+class WireModel:
+    """What a wire does to bytes. Times in ns.
+
+    char_ns: one character, 10 bits at the baud rate (0: Ethernet). latency_ns + uniform jitter_ns each way; with
+    probability tail_chance up to tail_ns more. hold_ns: a receive delay of 0 to this much (a USB adapter's
+    free-running latency timer, controller to host only).
+    """
+
+    char_ns: int = 0
+    latency_ns: int = 100_000
+    jitter_ns: int = 100_000
+    tail_chance: float = 0.001
+    tail_ns: int = 5_000_000
+    hold_ns: int = 0
+
+
+LAN = WireModel()
+
+
+def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
+    """A serial line: `bits` per character including start, parity and stop."""
+    char_ns = bits * 1_000_000_000 // baud
+    return WireModel(char_ns=char_ns, latency_ns=20_000, jitter_ns=80_000, tail_chance=0.0005, hold_ns=hold_ns)
+
+
+@dataclass(slots=True)
+class MemoryWire:
+    """The wire to one port of one simulated controller. Faults are injected here, from outside.
+
+    far_context: the context of the process that the controller lives in.
+    """
+
+    clock: Clock
+    model: WireModel
+    far: FarEnd
+    port: str
+    place: str
+    far_context: Context
+    seed: int = 0
+    cut: bool = False
+    refuse: bool = False
+    to_far: Callable[[bytes], bytes] | None = None
+    to_near: Callable[[bytes], bytes] | None = None
+    links: "list[MemoryLink]" = field(default_factory=list["MemoryLink"])
+    draw: Random = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.draw = Random(self.seed)
+
+    async def open(self) -> "MemoryLink":
+        """A link from the calling process. Raises `LinkRefused`."""
+        if self.refuse:
+            raise LinkRefused(f"{self.place}: connection refused; is the controller switched on?")
+        link = MemoryLink(self)
+        opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+
+        def connect() -> None:
+            try:
+                link.connect()
+            except Exception as error:
+                opened.set_result(str(error))
+            else:
+                opened.set_result(None)
+
+        self.run_far(connect)
+        reason = await opened
+        if reason is not None:
+            raise LinkRefused(f"{self.place}: {reason}")
+        self.links.append(link)
+        return link
+
+    def run_far(self, callback: Callable[[], None]) -> None:
+        """Let the controller's process run `callback`, when it runs at all."""
+        asyncio.get_running_loop().call_soon(callback, context=self.far_context)
+
+    def later(self, at_ns: int, callback: Callable[[], None]) -> None:
+        """Call `callback` at `at_ns` as a thing of the wire, which no process can hang."""
+        Context().run(self.clock.call_at_ns, at_ns, callback)
+
+    def delay_ns(self) -> int:
+        """One draw of the latency."""
+        model = self.model
+        delay = model.latency_ns + self.draw.randrange(model.jitter_ns + 1)
+        if model.tail_chance and self.draw.random() < model.tail_chance:
+            delay += self.draw.randrange(model.tail_ns + 1)
+        return delay
+
+
+class MemoryLink:
+    """One open connection over a `MemoryWire`."""
+
+    def __init__(self, wire: MemoryWire) -> None:
+        self._wire = wire
+        self._far: FarConnection | None = None
+        self._near_context = copy_context()
+        self._open = True
+        self._received: deque[Received] = deque()
+        self._waiting: asyncio.Future[None] | None = None
+        self._out_free_ns = 0
+        self._in_free_ns = 0
+        self._last_far_ns = 0
+        self._last_near_ns = 0
+
+    def connect(self) -> None:
+        """Runs in the controller's process. Raises what the controller says."""
+        self._far = self._wire.far.connect(self._wire.port, self._from_far, self._far_closed)
+
+    @property
+    def place(self) -> str:
+        return self._wire.place
+
+    @property
+    def char_ns(self) -> int:
+        return self._wire.model.char_ns
+
+    def fileno(self) -> int:
+        return -1
+
+    def write(self, data: bytes) -> int:
+        wire, now_ns = self._wire, self._wire.clock.now_ns()
+        if not self._open:
+            raise LinkClosed(f"{wire.place} is closed")
+        if wire.to_far is not None:
+            data = wire.to_far(data)
+        # A command takes effect when its own terminator has arrived, not when the last one of the write has.
+        for line in data.splitlines(keepends=True):
+            self._out_free_ns = max(self._out_free_ns, now_ns) + len(line) * wire.model.char_ns
+            arrival_ns = max(self._out_free_ns + wire.delay_ns(), self._last_far_ns)
+            self._last_far_ns = arrival_ns
+            wire.later(arrival_ns, lambda line=line: self._arrive_far(line))
+        return now_ns
+
+    def _arrive_far(self, data: bytes) -> None:
+        far = self._far
+        if not self._wire.cut and far is not None:
+            self._wire.run_far(lambda: far.receive(data))
+
+    def _from_far(self, data: bytes) -> None:
+        wire, now_ns = self._wire, self._wire.clock.now_ns()
+        if wire.to_near is not None:
+            data = wire.to_near(data)
+        self._in_free_ns = max(self._in_free_ns, now_ns) + len(data) * wire.model.char_ns
+        arrival_ns = self._in_free_ns + wire.delay_ns()
+        if wire.model.hold_ns:
+            arrival_ns += wire.draw.randrange(wire.model.hold_ns + 1)
+        self._last_near_ns = max(arrival_ns, self._last_near_ns)
+        wire.later(self._last_near_ns, lambda: self._arrive_near(data))
+
+    def _arrive_near(self, data: bytes) -> None:
+        if self._wire.cut or not self._open:
+            return
+        at_ns = self._wire.clock.now_ns()
+        self._received.append(Received(data, at_ns))
+        self._wake()
+
+    def _far_closed(self) -> None:
+        self._wire.later(self._wire.clock.now_ns() + self._wire.delay_ns(), self._shut)
+
+    def _shut(self) -> None:
+        self._open = False
+        if self in self._wire.links:
+            self._wire.links.remove(self)
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+    async def read(self) -> Received:
+        while not self._received:
+            if not self._open:
+                raise LinkClosed(f"{self._wire.place} is closed")
+            self._waiting = asyncio.get_running_loop().create_future()
+            try:
+                await self._waiting
+            finally:
+                self._waiting = None
+        # A process that was frozen meanwhile sees the bytes when it runs again, as from a socket.
+        received = self._received.popleft()
+        return Received(received.data, max(received.at_ns, self._wire.clock.now_ns()))
+
+    async def close(self) -> None:
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Close at once; also what the kernel does for a process that died."""
+        if not self._open:
+            return
+        self._shut()
+        far = self._far
+        if far is not None:
+            self._wire.later(self._wire.clock.now_ns() + self._wire.delay_ns(), lambda: self._wire.run_far(far.close))

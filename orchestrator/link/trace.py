@@ -1,0 +1,59 @@
+"""The last minute of bytes on a link, for `tutti trace` and for every fault."""
+
+from collections import deque
+from typing import Literal
+
+from orchestrator.link.base import Link, Received
+
+KEPT_NS = 60_000_000_000
+KEPT_ENTRIES = 20_000  # a bound on memory for a link that never rests
+
+Direction = Literal["out", "in"]
+Entry = tuple[int, Direction, bytes]
+
+
+class TraceRing:
+    """Entries of the last 60 s: (host ns, direction, bytes)."""
+
+    def __init__(self) -> None:
+        self._entries: deque[Entry] = deque(maxlen=KEPT_ENTRIES)
+
+    def add(self, at_ns: int, direction: Direction, data: bytes) -> None:
+        self._entries.append((at_ns, direction, data))
+        while self._entries[0][0] < at_ns - KEPT_NS:
+            self._entries.popleft()
+
+    def entries(self) -> list[Entry]:
+        return list(self._entries)
+
+
+class TracedLink:
+    """A link whose bytes go into a ring as they pass."""
+
+    def __init__(self, link: Link, ring: TraceRing) -> None:
+        self._link = link
+        self._ring = ring
+
+    @property
+    def place(self) -> str:
+        return self._link.place
+
+    @property
+    def char_ns(self) -> int:
+        return self._link.char_ns
+
+    def write(self, data: bytes) -> int:
+        at_ns = self._link.write(data)
+        self._ring.add(at_ns, "out", data)
+        return at_ns
+
+    async def read(self) -> Received:
+        received = await self._link.read()
+        self._ring.add(received.at_ns, "in", received.data)
+        return received
+
+    def fileno(self) -> int:
+        return self._link.fileno()
+
+    async def close(self) -> None:
+        await self._link.close()
