@@ -1,0 +1,1 @@
+"""Adapters: what drives controllers of each make and presents them on the bus."""

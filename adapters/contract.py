@@ -1,0 +1,292 @@
+"""The adapter contract: what a make's package provides, and what it is given.
+
+A make's package (found by the entry point group `tutti.adapters`) exports a `Make`. Its `Driver` speaks the
+controller's language over links and knows nothing of the bus, of jobs, leases or fleet time: axes are called by
+their names in the fleet file, positions are whole counts of the controller, instants are host nanoseconds.
+Everything common to all makes (the bus, polling, fencing, limits, the e-stop latch) is in `adapters.unit`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from pydantic import BaseModel
+
+from orchestrator.clock.base import Clock
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.link.base import Link, OpenLink
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import Refusal, Term
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs, Fault, StartClass
+
+
+class CannotDo(Exception):
+    """The controller, or its adapter, refuses. The reason is a value; nothing has moved because of it."""
+
+    def __init__(self, code: str, text: str, remedy: str = "") -> None:
+        super().__init__(text)
+        self.refusal = Refusal(code=code, text=text, remedy=remedy)
+
+
+class DriverFault(Exception):
+    """The controller does not do what its manual says: silence, garbage, an error that it reports."""
+
+    def __init__(self, code: str, text: str, remedy: str, axis: str | None = None) -> None:
+        super().__init__(text)
+        self.fault = Fault(code=code, text=text, remedy=remedy, axis=axis)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the controller says it is."""
+
+    model: str
+    firmware: str
+    serial: str
+
+
+@dataclass(frozen=True, slots=True)
+class AxisReading:
+    """One axis as the controller reports it, in its counts."""
+
+    commanded_counts: int
+    actual_counts: float
+    velocity_counts_s: float
+    moving: bool
+    enabled: bool
+    limit: Literal["none", "forward", "reverse", "both"] = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One poll of the whole controller. inputs and outputs: by number, true = electrically high / on.
+
+    restarted: the controller has lost its volatile state since the last poll (power cycle, reset); its axes are no
+    longer referenced and nothing is armed in it any more.
+    """
+
+    at_ns: int
+    axes: Mapping[str, AxisReading]
+    inputs: Mapping[int, bool] = field(default_factory=dict[int, bool])
+    outputs: Mapping[int, bool] = field(default_factory=dict[int, bool])
+    faults: Sequence[Fault] = ()
+    restarted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What the make's adapter can do, before any job.
+
+    orders: of profiles it can execute, 2 trapezoids and 3 jerk-limited ones. independent_axes: axes may move in
+    different steps at once, and stop one without the other. stop_ns: from a stop request to the last axis at rest,
+    at the most (transport and ramp from full speed).
+    """
+
+    start_classes: tuple[StartClass, ...]
+    orders: tuple[Literal[2, 3], ...]
+    independent_axes: bool
+    costs: Costs
+
+
+@dataclass(frozen=True, slots=True)
+class Lowered:
+    """A step's part as this controller will really execute it. Makes derive their own, with what `arm` needs.
+
+    durations_s: by axis, from its start to its end, in host seconds. path_error_counts: largest distance to the
+    plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause.
+    commands: what would be sent, for people.
+    """
+
+    start_class: StartClass
+    durations_s: Mapping[str, float]
+    path_error_counts: Mapping[str, float]
+    terms: tuple[Term, ...]
+    tick_ns: float
+    costs: Costs
+    commands: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A host instant known as an interval, ends included."""
+
+    earliest_ns: int
+    latest_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a started move ended. `ended` is by axis; `reason` says why it did not end as planned."""
+
+    state: Literal["done", "stopped", "fault"]
+    ended: Mapping[str, Span]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Fired:
+    """A byte that was sent at an instant. late: it would have been after `latest_ns`, and was not sent."""
+
+    written_ns: int
+    late: bool
+
+
+class FireOrder(Protocol):
+    """Bytes that will be written at an instant."""
+
+    def cancel(self) -> bool:
+        """Do not write. False when it is too late for that."""
+        ...
+
+    async def done(self) -> Fired:
+        """Wait for the write."""
+        ...
+
+
+class Firer(Protocol):
+    """Writes bytes to links at instants, better than an event loop could."""
+
+    def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> FireOrder:
+        """Write `data` at host time `at_ns`; not at all if that could only be after `latest_ns`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a driver is given. options: validated by the make's own model."""
+
+    controller: str
+    config: Controller
+    options: BaseModel
+    clock: Clock
+    open_link: OpenLink
+    firer: Firer
+
+
+class Driver(ABC):
+    """One controller of a make. One call at a time, but `stop`, which may come at any moment, and `fire` evidence.
+
+    Every call may raise `LinkClosed` and `DriverFault`; a call that takes an answer from the controller gives up
+    after a time of its own with a `DriverFault` of code `no-answer`.
+    """
+
+    @abstractmethod
+    async def connect(self) -> Identity:
+        """Open the links and bring the controller into a known state: right make, nothing armed, nobody's leftovers.
+
+        It may be in any state: echo on, a half-typed line, another program running, a move under way. A moving
+        controller is not stopped. Raises `LinkRefused`, or `DriverFault` with what a person has to do.
+        """
+
+    @abstractmethod
+    async def configure(self) -> None:
+        """Read back what the unit itself holds and load what it needs; raises `DriverFault` (code `config-mismatch`,
+        naming item, found and wanted value) on a difference that it must not change by itself."""
+
+    @property
+    @abstractmethod
+    def capabilities(self) -> Capabilities: ...
+
+    @abstractmethod
+    async def poll(self) -> Reading:
+        """Read the state of all axes, inputs and outputs, as cheaply as the make allows; feeds the clock estimate."""
+
+    def mapping(self) -> TickMapping | None:
+        """The present clock estimate; None for a make without a readable clock."""
+        return None
+
+    @abstractmethod
+    def lower(
+        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
+    ) -> Lowered:
+        """Turn profiles into what the controller can execute. Pure: the same arguments give the same answer.
+
+        Raises `CannotDo` naming the axis and what would fit.
+        """
+
+    @abstractmethod
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the move for a start at host instant `t0_ns`, without moving; read it back where the make allows.
+
+        Gives the stages of arming in ns (`encode`, `wire`, `verify`, …). Raises `CannotDo`; then nothing is armed.
+        """
+
+    @abstractmethod
+    async def verify(self) -> None:
+        """Just before the promise: still armed, still where the plan starts. Raises `CannotDo`."""
+
+    @abstractmethod
+    async def go(self) -> None:
+        """Open the gate: the armed move starts at its instant. Raises `CannotDo` (code `late`) when that is past."""
+
+    @abstractmethod
+    async def disarm(self) -> None:
+        """Unload; nothing starts, now or later. Idempotent, and safe in every state but motion."""
+
+    @abstractmethod
+    async def started(self) -> Mapping[str, Span]:
+        """After T0: when each axis started, by the controller's own evidence.
+
+        Raises `DriverFault` (code `not-started`, or `late`) as soon as it is known that it did not.
+        """
+
+    @abstractmethod
+    async def outcome(self) -> Outcome:
+        """Wait for the end of the started move. `poll` may be called meanwhile."""
+
+    @abstractmethod
+    async def stop(self, abort: bool) -> None:
+        """Stop all axes and everything armed: by ramp, or as fast as the controller can.
+
+        Returns when the order is sent; never waits for an outstanding reply, and may be called beside any other call.
+        """
+
+    @abstractmethod
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        """Switch motors. Raises `CannotDo`."""
+
+    @abstractmethod
+    async def home(self, axes: Sequence[str]) -> None:
+        """Find the reference by the axis's `homing`; returns when found. Raises `CannotDo`, `DriverFault`."""
+
+    @abstractmethod
+    async def set_output(self, number: int, on: bool) -> None: ...
+
+    @abstractmethod
+    async def clear_faults(self) -> None:
+        """After a reset by a person: clear what the controller latches (error state, stop). Raises `CannotDo`."""
+
+    @abstractmethod
+    async def raw(self, command: str) -> str:
+        """Send a line in the controller's language and give its reply as text."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Close the links. Leaves the controller as it is."""
+
+
+class Make(Protocol):
+    """One make and model that can be driven: what the entry points of group `tutti.adapters` name."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def options(self) -> type[BaseModel]:
+        """The model of `options:` in the fleet file."""
+        ...
+
+    def check(self, config: Controller) -> None:
+        """Offline check of a controller's part of the fleet file (motor names, input numbers, link kind).
+
+        Raises `ValueError` that names field, found value and what is allowed.
+        """
+        ...
+
+    def driver(self, setup: Setup) -> Driver: ...
+
+    def stop_bytes(self, config: Controller) -> bytes:
+        """What a guardian writes to a link of its own to stop everything, whatever was half-typed before."""
+        ...
