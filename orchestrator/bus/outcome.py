@@ -24,6 +24,11 @@ class Outcome:
         """Whether replies no longer count: settled, or given up by who asked."""
         return self.settled.done()
 
+    @property
+    def answered(self) -> bool:
+        """Whether any reply came, a valid one or an error."""
+        return bool(self._replies) or self._refusal is not None
+
     def take(self, key: str, payload: bytes) -> None:
         """A valid reply came. Of several on one key the first counts."""
         self._replies.setdefault(key, payload)

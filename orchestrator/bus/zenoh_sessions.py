@@ -1,0 +1,116 @@
+"""Opening Zenoh: explicit endpoints only. A router for the fleet, and the sessions of those who take part.
+
+Nothing is scouted, by multicast or by gossip: who talks to whom is written down, or not at all.
+"""
+
+# Zenoh's type stubs leave out many return types.
+# pyright: reportUnknownMemberType=false
+
+import json
+from types import TracebackType
+
+import zenoh
+
+from orchestrator.bus.base import BusClosed
+
+CONNECT_TIMEOUT_S = 5.0
+"""How long to wait for a router that is just being started."""
+
+_RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
+"""Zenoh's own periods grow to 4 s. A restarted router of the same host should be found sooner."""
+
+_LOOPBACK = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
+
+
+class RouterUnreachable(Exception):
+    """No router answered at the endpoint in time."""
+
+
+class RouterRefused(Exception):
+    """The router cannot listen at the endpoint."""
+
+
+def _config(mode: str, **settings: object) -> zenoh.Config:
+    config = zenoh.Config()
+    wanted: dict[str, object] = {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        **settings,
+    }
+    for key, value in wanted.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.Session:
+    """A client session through the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`. Blocks until it stands.
+
+    When the router goes away and comes back, Zenoh reconnects and declares everything again.
+    Raises `RouterUnreachable` after `timeout_s`.
+    """
+    config = _config(
+        "client",
+        **{
+            "connect/endpoints": [endpoint],
+            "connect/timeout_ms": round(timeout_s * 1000),
+            "connect/exit_on_failure": True,
+            "connect/retry": _RETRY,
+            "listen/endpoints": [],
+        },
+    )
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise RouterUnreachable(
+            f"no router answered at {endpoint} within {timeout_s:g} s; "
+            f"start one there, or correct the endpoint in the fleet file ({error})"
+        ) from error
+
+
+class Router:
+    """The router that all processes of a fleet connect to. Runs in a process that does nothing else."""
+
+    def __init__(self, endpoint: str, session: zenoh.Session) -> None:
+        self.endpoint = endpoint
+        self._session = session
+
+    def __enter__(self) -> "Router":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def connected(self) -> int:
+        """Sessions that are connected now; a process on the bus has two."""
+        if self._session.is_closed():
+            raise BusClosed(f"the router at {self.endpoint} is closed")
+        return len(self._session.info.transports())
+
+    def close(self) -> None:
+        """Stop routing. Does nothing the second time."""
+        if not self._session.is_closed():
+            self._session.close()
+
+
+def open_router(endpoint: str) -> Router:
+    """Route for the fleet at `endpoint`. Plain TCP is for this host alone: elsewhere it raises `RouterRefused`.
+
+    Raises `RouterRefused` also when the endpoint is taken or malformed.
+    """
+    if endpoint.startswith("tcp/") and not endpoint.startswith(_LOOPBACK):
+        raise RouterRefused(f"{endpoint} would listen to the network without TLS; use tcp/127.0.0.1:PORT or tls/...")
+    try:
+        session = zenoh.open(_config("router", **{"listen/endpoints": [endpoint], "connect/endpoints": []}))
+    except zenoh.ZError as error:
+        if "in use" in str(error):
+            cause = (
+                f"the router cannot listen at {endpoint}: another process does. Stop that one, or choose a free port"
+            )
+        else:
+            cause = f"the router cannot listen at {endpoint}: {error}"
+        raise RouterRefused(cause) from error
+    return Router(endpoint, session)

@@ -1,0 +1,163 @@
+"""The two crossings between the event loop and Zenoh's threads: a sender outwards, an inbox inwards.
+
+The loop never calls a Zenoh function that could wait for the transport: a put to a router that stands still blocks
+for seconds. And nothing is put from a Zenoh callback, which would stall everything else that comes in.
+"""
+
+import asyncio
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import TypeVar
+
+from orchestrator.bus.base import Priority
+
+T = TypeVar("T")
+
+_LOG = logging.getLogger(__name__)
+
+_ORDER = (Priority.ESTOP, Priority.EVENT, Priority.STATE)
+
+_BATCH = 64
+"""Calls from the inbox before the loop gets its turn."""
+
+
+class _Lanes:
+    """Calls by priority, the most urgent first. Of `STATE` the oldest is lost when there are more than `limit`."""
+
+    def __init__(self, limit: int) -> None:
+        self._lanes: dict[Priority, deque[Callable[[], None]]] = {
+            priority: deque(maxlen=limit if priority is Priority.STATE else None) for priority in _ORDER
+        }
+
+    def __len__(self) -> int:
+        return sum(len(lane) for lane in self._lanes.values())
+
+    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+        self._lanes[priority].append(call)
+
+    def next(self) -> Callable[[], None] | None:
+        for lane in self._lanes.values():
+            if lane:
+                return lane.popleft()
+        return None
+
+
+class Sender:
+    """A thread that makes the calls it is handed, one after the other, e-stops first."""
+
+    def __init__(self, name: str, limit: int) -> None:
+        self._lanes = _Lanes(limit)
+        self._changed = threading.Condition()
+        self._busy = False
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def backlog(self) -> int:
+        """Calls that were handed over and are not done."""
+        with self._changed:
+            return len(self._lanes) + self._busy
+
+    def hand(self, priority: Priority, call: Callable[[], None]) -> None:
+        """Have `call` made soon. Never waits for another call."""
+        with self._changed:
+            self._lanes.add(priority, call)
+            self._changed.notify()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Make what is left, then end. False when that did not succeed in time; the thread is then left alone."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while (call := self._take()) is not None:
+            try:
+                call()
+            except Exception:
+                # The transport's complaint must reach the log and must not end the thread.
+                _LOG.exception("%s: a call to the bus failed", self._thread.name)
+
+    def _take(self) -> Callable[[], None] | None:
+        with self._changed:
+            self._busy = False
+            while (call := self._lanes.next()) is None and not self._stopping:
+                self._changed.wait()
+            self._busy = call is not None
+            return call
+
+
+class Inbox:
+    """Brings calls from Zenoh's threads to the event loop, e-stops first and never more than it can hold."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, limit: int) -> None:
+        self._loop = loop
+        self._lanes = _Lanes(limit)
+        self._lock = threading.Lock()
+        self._awake = False
+        self._closed = False
+
+    def add(self, priority: Priority, call: Callable[[], None]) -> None:
+        """Have `call` made on the loop. Callable from any thread; never waits for the loop."""
+        with self._lock:
+            if self._closed or self._loop.is_closed():
+                return
+            self._lanes.add(priority, call)
+            if not self._awake:
+                self._awake = True
+                self._loop.call_soon_threadsafe(self._drain)
+
+    def close(self) -> None:
+        """Forget what is left and take nothing more."""
+        with self._lock:
+            self._closed = True
+
+    def _drain(self) -> None:
+        for _ in range(_BATCH):
+            with self._lock:
+                call = None if self._closed else self._lanes.next()
+                if call is None:
+                    self._awake = False
+                    return
+            try:
+                call()
+            except Exception as error:
+                # One faulty callback must not keep the others from what they wait for.
+                self._loop.call_exception_handler({"message": "a callback of the bus failed", "exception": error})
+        self._loop.call_soon(self._drain)
+
+
+async def off_loop(name: str, call: Callable[[], T]) -> T:
+    """Make `call` in a thread of its own, and wait for it. The thread is left behind when the wait is given up.
+
+    The loop's executor would do but for its end: it waits for stuck calls when the loop is closed.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(result: T | None, error: Exception | None) -> None:
+        if done.done():
+            return
+        if error is not None:
+            done.set_exception(error)
+        else:
+            done.set_result(result)  # pyright: ignore[reportArgumentType]
+
+    def run() -> None:
+        result: T | None = None
+        failure: Exception | None = None
+        try:
+            result = call()
+        except Exception as error:
+            failure = error
+        # A closed loop has nobody who waits.
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(settle, result, failure)
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    return await done

@@ -1,0 +1,164 @@
+"""The two surroundings that the bus contract runs in: virtual time in memory, and real processes over Zenoh."""
+
+import asyncio
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, Protocol
+
+from bus_child import behave
+
+from orchestrator.bus.base import Bus, Priority, Sample
+from orchestrator.bus.memory import MemoryNet
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+
+LIMIT_S = 20.0
+"""Generous: what takes so long will not happen."""
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for `condition`, which somebody else's action makes true."""
+    async with asyncio.timeout(LIMIT_S):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+async def request_until(bus: Bus, key: str, wanted: bytes) -> None:
+    """Ask until the answer is `wanted`."""
+    async with asyncio.timeout(LIMIT_S):
+        while await bus.request(key, b"", LIMIT_S) != wanted:
+            await asyncio.sleep(0.002)
+
+
+async def linked(sender: Bus, receiver: Bus) -> None:
+    """Wait until what `receiver` declared before is known to `sender`, for every priority."""
+    seen: list[Sample] = []
+    fence = await receiver.subscribe("t/fence", seen.append)
+    async with asyncio.timeout(LIMIT_S):
+        for priority in Priority:
+            while priority.value.encode() not in [sample.payload for sample in seen]:
+                sender.put("t/fence", priority.value.encode(), priority)
+                await asyncio.sleep(0.002)
+    await fence.undeclare()
+
+
+class World(Protocol):
+    """Where buses are joined, and what can be done to them."""
+
+    async def join(self, name: str) -> Bus:
+        """A bus of the test itself."""
+        ...
+
+    async def peer(self, name: str) -> None:
+        """Another process that behaves as `bus_child.behave` says; it is ready when this returns."""
+        ...
+
+    def kill(self, name: str) -> None: ...
+    def hang(self, name: str) -> None: ...
+    def resume(self, name: str) -> None: ...
+    def cut(self) -> None: ...
+    def heal(self) -> None: ...
+
+
+class MemoryWorld:
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.net = MemoryNet(clock, seed=7)
+        self._names: list[str] = []
+
+    async def join(self, name: str) -> Bus:
+        self._names.append(name)
+        return self.net.join(name)
+
+    async def peer(self, name: str) -> None:
+        await behave(await self.join(name), name)
+
+    def kill(self, name: str) -> None:
+        self.net.kill(name)
+
+    def hang(self, name: str) -> None:
+        self.net.hang(name)
+
+    def resume(self, name: str) -> None:
+        self.net.resume(name)
+
+    def cut(self) -> None:
+        self.net.partition(*({name} for name in self._names))
+
+    def heal(self) -> None:
+        self.net.heal()
+
+
+class LiveWorld:
+    def __init__(self) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self._children: dict[str, subprocess.Popen[str]] = {}
+        self._buses: list[Bus] = []
+
+    async def join(self, name: str) -> Bus:
+        from orchestrator.bus.zenoh_bus import open_bus
+
+        bus = await open_bus(self.endpoint)
+        self._buses.append(bus)
+        return bus
+
+    async def peer(self, name: str) -> None:
+        self._start(name, "peer", self.endpoint, name)
+
+    def kill(self, name: str) -> None:
+        child = self._children.pop(name)
+        child.kill()
+        child.communicate()
+
+    def hang(self, name: str) -> None:
+        self._children[name].send_signal(signal.SIGSTOP)
+
+    def resume(self, name: str) -> None:
+        self._children[name].send_signal(signal.SIGCONT)
+
+    def cut(self) -> None:
+        self.kill("router")
+
+    def heal(self) -> None:
+        self._start("router", "router", self.endpoint)
+
+    async def leave(self) -> None:
+        for bus in self._buses:
+            await bus.close()
+        for name in list(self._children):
+            self.kill(name)
+
+    def _start(self, name: str, *arguments: str) -> None:
+        command = [sys.executable, str(Path(__file__).with_name("bus_child.py")), *arguments]
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._children[name] = child
+        assert child.stdout is not None
+        assert child.stdout.readline() == "up\n"
+
+
+Body = Callable[[Any], Coroutine[Any, Any, None]]
+
+
+def run_memory(body: Body) -> None:
+    async def main(clock: VirtualClock) -> None:
+        await body(MemoryWorld(clock))
+
+    run_virtual(main)
+
+
+def run_live(body: Body) -> None:
+    async def main() -> None:
+        world = LiveWorld()
+        try:
+            world.heal()
+            async with asyncio.timeout(3 * LIMIT_S):
+                await body(world)
+        finally:
+            await world.leave()
+
+    asyncio.run(main())

@@ -1,0 +1,363 @@
+"""One contract over both buses."""
+
+import asyncio
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from bus_worlds import LIMIT_S, Body, World, linked, request_until, run_live, run_memory, until
+
+from orchestrator.bus.base import BusClosed, NoReply, Priority, RequestRefused, RequestTimeout, Sample
+
+Run = Callable[[Body], None]
+
+
+@pytest.fixture(params=["memory", pytest.param("live", marks=pytest.mark.live)])
+def run(request: pytest.FixtureRequest) -> Run:
+    return run_memory if request.param == "memory" else run_live
+
+
+def test_samples_are_in_order_per_key_and_priority(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        got: list[Sample] = []
+        await b.subscribe("t/n/*", got.append)
+        await linked(a, b)
+        for number in range(300):
+            for key in ("t/n/x", "t/n/y"):
+                a.put(key, str(number).encode(), Priority.EVENT)
+        await until(lambda: len(got) == 600)
+        for key in ("t/n/x", "t/n/y"):
+            assert [int(sample.payload) for sample in got if sample.key == key] == list(range(300))
+
+    run(body)
+
+
+def test_an_estop_overtakes_what_is_queued(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        got: list[str] = []
+        await b.subscribe("t/**", lambda sample: got.append(sample.key))
+        await linked(a, b)
+        for _ in range(1000):
+            a.put("t/event", b"e" * 2000, Priority.EVENT)
+        a.put("t/estop", b"", Priority.ESTOP)
+        await until(lambda: got.count("t/event") == 1000)
+        assert got.index("t/estop") < len(got) - 1
+
+    run(body)
+
+
+def test_own_samples_are_seen(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        got: list[Sample] = []
+        await a.subscribe("t/own/**", got.append)
+        await linked(a, a)
+        for priority in Priority:
+            a.put("t/own/x", priority.value.encode(), priority)
+        await until(lambda: len(got) == 3)
+        assert sorted(sample.payload for sample in got) == [b"estop", b"event", b"state"]
+
+    run(body)
+
+
+def test_a_put_from_inside_a_callback_works(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        back: list[Sample] = []
+        await b.subscribe("t/ping", lambda sample: b.put("t/pong", sample.payload, Priority.EVENT))
+        await a.subscribe("t/pong", back.append)
+        await linked(a, b)
+        await linked(b, a)
+        for number in range(20):
+            a.put("t/ping", str(number).encode(), Priority.EVENT)
+        await until(lambda: len(back) == 20)
+
+    run(body)
+
+
+def test_nothing_is_called_after_undeclare(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        got: list[Sample] = []
+        subscription = await b.subscribe("t/x", got.append)
+        await linked(a, b)
+        a.put("t/x", b"", Priority.EVENT)
+        await subscription.undeclare()
+        known = len(got)
+        a.put("t/x", b"", Priority.EVENT)
+        await linked(a, b)
+        assert len(got) == known
+        await subscription.undeclare()
+
+    run(body)
+
+
+def test_a_stopped_receiver_loses_state_and_holds_up_nobody(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        await world.peer("p")
+        seen: list[Sample] = []
+        await b.subscribe("t/in", lambda sample: seen.append(sample) if sample.payload == b"last" else None)
+        await linked(a, b)
+        world.hang("p")
+        loop = asyncio.get_running_loop()
+        slowest_s = 0.0
+        for _ in range(200):
+            for _ in range(20):
+                before_s = loop.time()
+                a.put("t/in", b"s" * 20_000)
+                slowest_s = max(slowest_s, loop.time() - before_s)
+            await asyncio.sleep(0.002)
+        assert slowest_s < 0.5
+        await until(lambda: a.backlog == 0)
+        async with asyncio.timeout(LIMIT_S):
+            while not seen:
+                a.put("t/in", b"last")
+                await asyncio.sleep(0.002)
+        world.resume("p")
+        async with asyncio.timeout(LIMIT_S):
+            while await a.request("t/p/latest", b"", LIMIT_S) != b"last":
+                a.put("t/in", b"last")
+                await asyncio.sleep(0.002)
+        assert int(await a.request("t/p/count", b"", LIMIT_S)) < 4000
+
+    run(body)
+
+
+def test_an_absent_server_is_known_at_once(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        async with asyncio.timeout(1.0):
+            with pytest.raises(NoReply, match="t/nobody"):
+                await a.request("t/nobody", b"", LIMIT_S)
+            assert await a.request_all("t/nobody/*", b"", LIMIT_S) == {}
+
+    run(body)
+
+
+def test_a_hung_server_times_out_and_stays_present(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        present: dict[str, bool] = {}
+        await a.watch("t/live/*", present.__setitem__)
+        await world.peer("p")
+        await until(lambda: present == {"t/live/p": True})
+        assert await a.request("t/p/echo", b"1", LIMIT_S) == b"p:1"
+        world.hang("p")
+        with pytest.raises(RequestTimeout, match=r"t/p/echo within 0\.3 s"):
+            await a.request("t/p/echo", b"2", 0.3)
+        assert present == {"t/live/p": True}
+        world.resume("p")
+        assert await a.request("t/p/echo", b"3", LIMIT_S) == b"p:3"
+
+    run(body)
+
+
+def test_the_text_of_a_refusal_travels(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        await world.peer("p")
+        with pytest.raises(RequestRefused, match="^p will not, whatever Jörg says$"):
+            await a.request("t/p/refuse", "Jörg".encode(), LIMIT_S)
+
+    run(body)
+
+
+def test_the_first_valid_reply_counts(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+
+        async def refuse(sample: Sample) -> bytes:
+            raise RequestRefused("not I")
+
+        await b.serve("t/shared", refuse)
+        await linked(a, b)
+        with pytest.raises(RequestRefused, match="not I"):
+            await a.request("t/shared", b"", LIMIT_S)
+        await world.peer("p")
+        await world.peer("q")
+        assert await a.request("t/shared", b"1", LIMIT_S) in (b"p:1", b"q:1")
+        world.hang("p")
+        async with asyncio.timeout(LIMIT_S / 2):
+            assert await a.request("t/shared", b"2", LIMIT_S) == b"q:2"
+
+    run(body)
+
+
+def test_all_who_serve_are_asked(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        await world.peer("p")
+        await world.peer("q")
+        assert await a.request_all("t/*/echo", b"1", LIMIT_S) == {"t/p/echo": b"p:1", "t/q/echo": b"q:1"}
+        world.hang("q")
+        assert await a.request_all("t/*/echo", b"2", 0.3) == {"t/p/echo": b"p:2"}
+
+    run(body)
+
+
+def test_requests_are_handled_concurrently(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        both = asyncio.Barrier(2)
+
+        async def meet(sample: Sample) -> bytes:
+            await both.wait()
+            return sample.key.encode()
+
+        await b.serve("t/meet/*", meet)
+        await linked(a, b)
+        asked = [a.request(f"t/meet/{number}", b"", LIMIT_S) for number in range(2)]
+        assert await asyncio.gather(*asked) == [b"t/meet/0", b"t/meet/1"]
+
+    run(body)
+
+
+def test_a_late_joiner_gets_the_last_value_by_asking(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        await world.peer("p")
+        async with asyncio.timeout(LIMIT_S):
+            while await a.request("t/p/latest", b"", LIMIT_S) != b"value":
+                a.put("t/in", b"value")
+                await asyncio.sleep(0.002)
+        late = await world.join("late")
+        assert await late.request("t/p/latest", b"", LIMIT_S) == b"value"
+
+    run(body)
+
+
+def test_presence_is_seen_from_its_beginning_to_a_death(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        await world.peer("early")
+        changes: list[tuple[str, bool]] = []
+        await a.watch("t/live/*", lambda key, present: changes.append((key, present)))
+        await until(lambda: changes == [("t/live/early", True)])
+        token = await b.announce("t/live/b")
+        await until(lambda: changes[1:] == [("t/live/b", True)])
+        await token.undeclare()
+        await until(lambda: changes[2:] == [("t/live/b", False)])
+        own = await a.announce("t/live/a")
+        await until(lambda: changes[3:] == [("t/live/a", True)])
+        await own.undeclare()
+        await until(lambda: changes[4:] == [("t/live/a", False)])
+        world.kill("early")
+        await until(lambda: changes[5:] == [("t/live/early", False)])
+        with pytest.raises(NoReply):
+            await a.request("t/early/echo", b"", LIMIT_S)
+
+    run(body)
+
+
+def test_who_is_seen_can_be_asked(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        present: dict[str, bool] = {}
+        await a.watch("t/live/*", present.__setitem__)
+        for name in ("p", "q", "r"):
+            await world.peer(name)
+            await until(lambda name=name: f"t/live/{name}" in present)
+            assert await a.request(f"t/{name}/echo", b"", LIMIT_S) == f"{name}:".encode()
+
+    run(body)
+
+
+def test_a_cut_loses_everything_and_its_end_brings_all_back(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        await world.peer("p")
+        changes: list[bool] = []
+        said: list[Sample] = []
+        await a.watch("t/live/p", lambda _, present: changes.append(present))
+        await a.subscribe("t/p/said", said.append)
+        await until(lambda: changes == [True])
+        world.cut()
+        a.put("t/in", b"lost")
+        with pytest.raises(RequestTimeout):
+            await a.request("t/p/echo", b"", 0.3)
+        await until(lambda: changes == [True, False])
+        with pytest.raises(RequestTimeout):
+            await a.request("t/p/echo", b"", 0.3)
+        world.heal()
+        await until(lambda: changes == [True, False, True])
+        assert await a.request("t/p/latest", b"", LIMIT_S) == b""
+        async with asyncio.timeout(LIMIT_S):
+            while not said:
+                await a.request("t/p/say", b"again", LIMIT_S)
+                await asyncio.sleep(0.002)
+        a.put("t/in", b"new")
+        await request_until(a, "t/p/latest", b"new")
+
+    run(body)
+
+
+def test_a_request_that_a_cut_interrupts_times_out(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        await world.peer("p")
+        assert await a.request("t/p/echo", b"", LIMIT_S) == b"p:"
+        world.hang("p")
+        asked = asyncio.ensure_future(a.request("t/p/echo", b"", 1.0))
+        await asyncio.sleep(0.1)
+        world.cut()
+        with pytest.raises(RequestTimeout):
+            await asked
+
+    run(body)
+
+
+def test_close_may_be_called_twice_and_ends_all(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        present: dict[str, bool] = {}
+        await b.watch("t/live/a", present.__setitem__)
+        await a.announce("t/live/a")
+        await world.peer("p")
+        await until(lambda: present == {"t/live/a": True})
+        world.hang("p")
+        asked = asyncio.ensure_future(a.request("t/p/echo", b"", LIMIT_S))
+        await asyncio.sleep(0.05)
+        await a.close()
+        await a.close()
+        with pytest.raises(BusClosed):
+            await asked
+        with pytest.raises(BusClosed):
+            a.put("t/x", b"")
+        with pytest.raises(BusClosed):
+            await a.subscribe("t/x", print)
+        await until(lambda: present == {"t/live/a": False})
+
+    run(body)
+
+
+def test_what_was_put_before_close_goes_out(run: Run) -> None:
+    async def body(world: World) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        got: list[Sample] = []
+        await b.subscribe("t/x", got.append)
+        await linked(a, b)
+        for _ in range(100):
+            a.put("t/x", b"x" * 1000, Priority.EVENT)
+        await a.close()
+        await until(lambda: len(got) == 100)
+
+    run(body)
+
+
+@pytest.mark.parametrize("key", ["", "/a", "a/", "a//b", "a/b*", "a/*", "a?b", "a b"])
+def test_a_malformed_key_is_refused(run: Run, key: str) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        with pytest.raises(ValueError, match="key|chunk"):
+            a.put(key, b"")
+        with pytest.raises(ValueError, match="key|chunk"):
+            await a.request(key, b"", 1.0)
+
+    run(body)
