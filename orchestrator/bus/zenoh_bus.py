@@ -59,18 +59,18 @@ def _priority(sample: zenoh.Sample) -> Priority:
 
 
 class _Declaration:
-    """Something declared on a session, and whether it still stands for this process."""
+    """Something declared on a session. All that stand are kept in `standing`: Zenoh takes back what nobody holds."""
 
-    def __init__(self) -> None:
+    def __init__(self, standing: "dict[_Declaration, Callable[[], None]]") -> None:
         self.stands = True
-        self._undeclare: Callable[[], None] | None = None
+        self._standing = standing
 
     def take(self, undeclare: Callable[[], None]) -> None:
-        self._undeclare = undeclare
+        self._standing[self] = undeclare
 
     async def undeclare(self) -> None:
         self.stands = False
-        undeclare, self._undeclare = self._undeclare, None
+        undeclare = self._standing.pop(self, None)
         if undeclare is not None:
             await off_loop("bus-undeclare", undeclare)
 
@@ -87,6 +87,7 @@ class ZenohBus:
         self._sure_sender = Sender("bus-events", QUEUE_LIMIT)
         self._inbox = Inbox(self._loop, QUEUE_LIMIT)
         self._closed = False
+        self._standing: dict[_Declaration, Callable[[], None]] = {}
         self._disconnects = 0
         self._asking: list[Outcome] = []
         self._answering: set[asyncio.Task[None]] = set()
@@ -108,7 +109,7 @@ class ZenohBus:
         sender.hand(priority, call)
 
     async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
-        declaration = _Declaration()
+        declaration = _Declaration(self._standing)
 
         def deliver(sample: Sample) -> None:
             if declaration.stands:
@@ -125,7 +126,7 @@ class ZenohBus:
         return declaration
 
     async def serve(self, expression: str, handler: Handler) -> Declared:
-        declaration = _Declaration()
+        declaration = _Declaration(self._standing)
 
         def start(query: zenoh.Query) -> None:
             if not declaration.stands or self._closed:
@@ -228,14 +229,14 @@ class ZenohBus:
             self._asking.remove(outcome)
 
     async def announce(self, key: str) -> Declared:
-        declaration = _Declaration()
+        declaration = _Declaration(self._standing)
         check_key(key)
         token = await self._declare(lambda: self._sure.liveliness().declare_token(key))
         declaration.take(token.undeclare)
         return declaration
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
-        declaration = _Declaration()
+        declaration = _Declaration(self._standing)
         believed: set[str] = set()
 
         def tell(key: str, present: bool) -> None:
