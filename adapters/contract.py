@@ -166,9 +166,10 @@ class Setup:
 
 
 class Driver(ABC):
-    """One controller of a make. One call at a time, but `stop`, which may come at any moment, and `fire` evidence.
+    """One controller of a make.
 
-    Every call may raise `LinkClosed` and `DriverFault`; a call that takes an answer from the controller gives up
+    `poll` and `raw` may run beside any other call, and `stop` at any moment: the driver serialises its exchanges on
+    the link itself, and a stop goes past them. Every call may raise `LinkClosed` and `DriverFault`; a call that takes an answer from the controller gives up
     after a time of its own with a `DriverFault` of code `no-answer`.
     """
 

@@ -5,12 +5,9 @@ shape with a scale for each axis, and so that the numbers stay well conditioned 
 """
 
 from bisect import bisect_right
-from collections.abc import Sequence
-from itertools import accumulate
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
-
-from pydantic import ConfigDict, TypeAdapter
-from pydantic.dataclasses import dataclass
 
 
 class Instant(NamedTuple):
@@ -21,22 +18,42 @@ class Instant(NamedTuple):
     acceleration: float
 
 
-@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Segment(NamedTuple):
+    """A span of constant jerk: its start (s after the profile's), length (s), and state there, in counts."""
+
+    start_s: float
+    duration_s: float
+    position: float
+    velocity: float
+    acceleration: float
+    jerk: float
+
+    def at(self, t: float) -> Instant:
+        """Motion `t` s after the segment's start."""
+        a, j = self.acceleration, self.jerk
+        return Instant(
+            self.position + t * (self.velocity + t * (a / 2 + t * j / 6)),
+            self.velocity + t * (a + t * j / 2),
+            a + t * j,
+        )
+
+
+# Not frozen: a plan of 64 axes makes 64 of these, and freezing would double the cost of each.
+@dataclass(slots=True)
 class Profile:
     """A motion from rest to rest.
 
     start_counts, end_counts: absolute commanded positions of the controller, exact.
     scale_counts: counts per unit of the shape (its sign is the direction).
-    durations_s, jerks: one entry a segment; segment k has constant jerk. positions, velocities, accelerations:
-    at the start of each segment, in units of the shape, per second, per second².
+    durations_s, accelerations, jerks: one entry a segment (further accelerations, such as one at the end, are
+    ignored): segment k starts with accelerations[k] and has constant jerks[k]; units of the shape per second², ³.
+    Velocity and position are continuous, from 0.
     """
 
     start_counts: int
     end_counts: int
     scale_counts: float
     durations_s: Sequence[float]
-    positions: Sequence[float]
-    velocities: Sequence[float]
     accelerations: Sequence[float]
     jerks: Sequence[float]
 
@@ -45,54 +62,65 @@ class Profile:
         """From the start of the axis to its end, in seconds."""
         return sum(self.durations_s)
 
-    def at(self, time_s: float) -> Instant:
-        """Position relative to the start (counts), velocity and acceleration `time_s` after the start.
+    @property
+    def segments(self) -> list[Segment]:
+        """The segments in counts, each with its start; what evaluation and lowering work on."""
+        segments: list[Segment] = []
+        clock_s = position = velocity = 0.0
+        for t, a, j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
+            segment = Segment(clock_s, t, position, velocity, a * self.scale_counts, j * self.scale_counts)
+            segments.append(segment)
+            clock_s += t
+            position, velocity, _ = segment.at(t)
+        return segments
 
-        Before the start and after the end the axis stands; the end is exact.
-        """
-        if time_s <= 0.0:
-            return Instant(0.0, 0.0, 0.0)
-        ends = list(accumulate(self.durations_s))
-        if not ends or time_s >= ends[-1]:
-            return Instant(float(self.end_counts - self.start_counts), 0.0, 0.0)
-        k = bisect_right(ends, time_s)
-        t = time_s - (ends[k - 1] if k else 0.0)
-        p, v, a, j = self.positions[k], self.velocities[k], self.accelerations[k], self.jerks[k]
-        scale = self.scale_counts
-        return Instant(
-            scale * (p + t * (v + t * (a / 2 + t * j / 6))),
-            scale * (v + t * (a + t * j / 2)),
-            scale * (a + t * j),
-        )
+    def at(self, time_s: float) -> Instant:
+        """Motion `time_s` after the start. Before the start and after the end the axis stands; the end is exact."""
+        return self.evaluator()(time_s)
+
+    def evaluator(self) -> Callable[[float], Instant]:
+        """`at` for many instants: integrates the segments once."""
+        segments = self.segments
+        starts = [segment.start_s for segment in segments]
+        end_s = self.duration_s
+        end = Instant(float(self.end_counts - self.start_counts), 0.0, 0.0)
+
+        def at(time_s: float) -> Instant:
+            if time_s <= 0.0:
+                return _STANDING
+            if time_s >= end_s:
+                return end
+            segment = segments[bisect_right(starts, time_s) - 1]
+            return segment.at(time_s - segment.start_s)
+
+        return at
 
     @property
     def peak_velocity(self) -> float:
         """The largest speed, counts/s. It lies at a segment's start, or where the acceleration passes zero."""
-        speed = max((abs(v) for v in self.velocities), default=0.0)
-        for t, v, a, j in zip(self.durations_s, self.velocities, self.accelerations, self.jerks, strict=False):
-            if j and 0.0 < -a / j < t:
-                speed = max(speed, abs(v - a * a / (2 * j)))
-        return speed * abs(self.scale_counts)
+        speed = 0.0
+        for each in self.segments:
+            speed = max(speed, abs(each.velocity))
+            if each.jerk and 0.0 < -each.acceleration / each.jerk < each.duration_s:
+                speed = max(speed, abs(each.at(-each.acceleration / each.jerk).velocity))
+        return speed
 
     @property
     def peak_acceleration(self) -> float:
         """The largest acceleration or deceleration, counts/s². Linear in a segment, so it lies at an end."""
-        peak = 0.0
-        for t, a, j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
-            peak = max(peak, abs(a), abs(a + j * t))
-        return peak * abs(self.scale_counts)
+        return max(
+            (max(abs(e.acceleration), abs(e.acceleration + e.jerk * e.duration_s)) for e in self.segments), default=0.0
+        )
 
     @property
     def extent_counts(self) -> tuple[float, float]:
         """The smallest and largest absolute position on the way, turning points inside segments included."""
         points = [0.0, float(self.end_counts - self.start_counts)]
-        clock_s = 0.0
-        for t, v, a, j in zip(self.durations_s, self.velocities, self.accelerations, self.jerks, strict=False):
-            points.append(self.at(clock_s).position)
-            for root in _turning_points(v, a, j):
-                if 0.0 < root < t:
-                    points.append(self.at(clock_s + root).position)
-            clock_s += t
+        for each in self.segments:
+            points.append(each.position)
+            for root in _turning_points(each.velocity, each.acceleration, each.jerk):
+                if 0.0 < root < each.duration_s:
+                    points.append(each.at(root).position)
         return self.start_counts + min(points), self.start_counts + max(points)
 
     def stretched(self, factor: float) -> "Profile":
@@ -102,14 +130,12 @@ class Profile:
             self.end_counts,
             self.scale_counts,
             [t * factor for t in self.durations_s],
-            list(self.positions),
-            [v / factor for v in self.velocities],
             [a / factor**2 for a in self.accelerations],
             [j / factor**3 for j in self.jerks],
         )
 
 
-PROFILES = TypeAdapter(dict[str, Profile])
+_STANDING = Instant(0.0, 0.0, 0.0)
 
 
 def _turning_points(v: float, a: float, j: float) -> tuple[float, ...]:
