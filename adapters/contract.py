@@ -169,8 +169,8 @@ class Driver(ABC):
     """One controller of a make.
 
     `poll` and `raw` may run beside any other call, and `stop` at any moment: the driver serialises its exchanges on
-    the link itself, and a stop goes past them. Every call may raise `LinkClosed` and `DriverFault`; a call that takes an answer from the controller gives up
-    after a time of its own with a `DriverFault` of code `no-answer`.
+    the link itself, and a stop goes past them. Every call may raise `LinkClosed` and `DriverFault`; one that takes an
+    answer from the controller gives up after a time of its own with a `DriverFault` of code `no-answer`.
     """
 
     @abstractmethod

@@ -1,0 +1,80 @@
+"""Who may command a controller: epochs of coordinators, and the e-stop latch. Kept over the adapter's own death."""
+
+from adapters.contract import CannotDo
+from adapters.store import Memory, Store
+from orchestrator.model.messages import Adopt, Fenced
+from orchestrator.model.state import EstopLatch
+
+
+class Fence:
+    """Refuses old coordinators, unknown ones, and motion while an e-stop is latched.
+
+    A restarted adapter obeys nobody until it is adopted anew, although it remembers the highest epoch.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._memory = store.load()
+        self._adopted = False
+
+    @property
+    def epoch(self) -> int:
+        """The highest epoch ever seen."""
+        return self._memory.epoch
+
+    @property
+    def latch(self) -> EstopLatch | None:
+        return self._memory.estop
+
+    def adopt(self, request: Adopt) -> bool:
+        """Take the coordinator of `request`; True when it is another reign than before. Raises `CannotDo`."""
+        known = self._memory
+        if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
+            raise CannotDo(
+                "stale-epoch",
+                f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch {known.epoch} "
+                f"of {known.coordinator[:8]} has been seen",
+                "stop the old coordinator",
+            )
+        changed = (request.epoch, request.coordinator) != (known.epoch, known.coordinator)
+        if changed:
+            self._save(Memory(epoch=request.epoch, coordinator=request.coordinator, estop=known.estop))
+        fresh, self._adopted = not self._adopted, True
+        return changed or fresh
+
+    def admit(self, request: Fenced) -> None:
+        """Raises `CannotDo` unless `request` comes from the coordinator that adopted this controller."""
+        known = self._memory
+        if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
+            raise CannotDo("stale-epoch", f"epoch {request.epoch} is over; epoch {known.epoch} rules", "")
+        if not self._adopted or request.epoch > known.epoch:
+            raise CannotDo("not-adopted", "the controller has not been adopted in this reign", "adopt it first")
+
+    def require_no_estop(self) -> None:
+        """Raises `CannotDo` while an e-stop is latched."""
+        latch = self._memory.estop
+        if latch is not None:
+            raise CannotDo(
+                "estop-latched", f"e-stop {latch.event} by {latch.actor} is latched", "make it safe, then `tutti reset`"
+            )
+
+    def latch_estop(self, latch: EstopLatch) -> bool:
+        """Latch; False when one is latched already (the first one keeps its name)."""
+        if self._memory.estop is not None:
+            return False
+        self._save(self._memory.model_copy(update={"estop": latch}))
+        return True
+
+    def release(self, event: str | None) -> bool:
+        """Release the latch named `event`, or any (`None`). False if none was latched. Raises `CannotDo`."""
+        latch = self._memory.estop
+        if latch is None:
+            return False
+        if event is not None and latch.event != event:
+            raise CannotDo("other-estop", f"the latched e-stop is {latch.event}, not {event}", "look at `tutti status`")
+        self._save(self._memory.model_copy(update={"estop": None}))
+        return True
+
+    def _save(self, memory: Memory) -> None:
+        self._memory = memory
+        self._store.save(memory)

@@ -1,0 +1,274 @@
+"""A controller's part in a motion step: armed, committed, released, moving; and every way out of that.
+
+The order is fixed (propose, arm, commit, go), each transition is checked against job, step and T0, and only a `go`
+after a promise lets anything start. What interrupts (stop, e-stop, a lost coordinator) does not wait for it: it
+raises `interruptions`, and whoever finds it raised after a wait unloads what it has loaded.
+"""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, Protocol
+
+from adapters.contract import CannotDo, Driver, DriverFault, Span
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Go, Proposal, Propose, Reply, StepRef
+from orchestrator.model.state import AxisEvidence, ClockMapping, Interval
+
+QUIET_NS = 20 * NS_PER_MS  # nothing polls a member this long before T0
+
+
+class Phase(Enum):
+    """How far a ticket has come."""
+
+    ARMED = "armed"
+    COMMITTED = "committed"
+    RELEASED = "released"
+    MOVING = "moving"
+
+
+@dataclass(frozen=True, slots=True)
+class Ticket:
+    """The step that the controller is loaded with."""
+
+    job: str
+    step: int
+    t0_fleet_ns: int
+    t0_host_ns: int
+    axes: tuple[str, ...]
+    scale: FleetScale
+    phase: Phase = Phase.ARMED
+
+
+class Emit(Protocol):
+    """Puts an event about the step on the bus."""
+
+    def __call__(
+        self, kind: str, text: str, ticket: Ticket, evidence: Mapping[str, AxisEvidence] | None = None
+    ) -> None: ...
+
+
+class Member:
+    """One controller as a member of steps. `check` raises `CannotDo` when the profiles must not be executed now."""
+
+    def __init__(
+        self,
+        controller: str,
+        driver: Driver,
+        clock: Clock,
+        check: Callable[[Propose | Arm], None],
+        scale: Callable[[], FleetScale],
+        emit: Emit,
+        spawn: Callable[[Coroutine[Any, Any, None]], object],
+    ) -> None:
+        self._controller = controller
+        self._driver = driver
+        self._clock = clock
+        self._check = check
+        self._scale = scale
+        self._emit = emit
+        self._spawn = spawn
+        self._turn = asyncio.Lock()
+        self._interruptions = 0
+        self.ticket: Ticket | None = None
+
+    # The way of a step
+
+    async def propose(self, request: Propose) -> Proposal:
+        """Lower the profiles without touching the controller."""
+        self._check(request)
+        lowered = self._driver.lower(request.profiles, request.start, self._driver.mapping())
+        return Proposal(
+            durations_s=dict(lowered.durations_s),
+            path_error_counts=dict(lowered.path_error_counts),
+            costs=lowered.costs,
+            start_class=lowered.start_class,
+            tick_ns=lowered.tick_ns,
+            terms=list(lowered.terms),
+            commands=list(lowered.commands),
+        )
+
+    async def arm(self, request: Arm) -> Armed:
+        """Load the move for T0, with the clock mapping of this moment frozen into it."""
+        async with self._turn:
+            if self.ticket is not None:
+                raise CannotDo(
+                    "busy", f"already {self.ticket.phase.value} for job {self.ticket.job}", "disarm it first"
+                )
+            self._check(request)
+            began_ns = self._clock.now_ns()
+            scale, mapping = self._scale(), self._driver.mapping()
+            lowered = self._driver.lower(request.profiles, request.start, mapping)
+            t0_ns = scale.host_ns(request.t0_fleet_ns)
+            if began_ns + lowered.costs.disarm_ns >= t0_ns:
+                raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
+            interruptions = self._interruptions
+            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, tuple(request.profiles), scale)
+            try:
+                stages = await self._driver.arm(lowered, t0_ns, mapping)
+            except (CannotDo, DriverFault):
+                await self._driver.disarm()
+                raise
+            if interruptions != self._interruptions:
+                await self._driver.disarm()
+                raise CannotDo("stopped", "a stop came while arming", "")
+            self.ticket = ticket
+            self._spawn(self._expire(ticket))
+            return Armed(
+                mapping=self.clock_mapping(mapping),
+                took_ns=self._clock.now_ns() - began_ns,
+                stages_ns=dict(stages),
+            )
+
+    async def commit(self, request: Commit) -> Reply:
+        """Promise, after a last look at the controller."""
+        async with self._turn:
+            ticket = self._require(request, request.t0_fleet_ns, Phase.ARMED)
+            interruptions = self._interruptions
+            await self._driver.verify()
+            if interruptions != self._interruptions or self.ticket is not ticket:
+                raise CannotDo("stopped", "a stop came before the promise", "")
+            self.ticket = replace(ticket, phase=Phase.COMMITTED)
+            return Reply()
+
+    async def go(self, request: Go) -> Reply:
+        """Open the gate."""
+        async with self._turn:
+            ticket = self._require(request, request.t0_fleet_ns, Phase.COMMITTED)
+            self.ticket = released = replace(ticket, phase=Phase.RELEASED)
+            interruptions = self._interruptions
+            try:
+                await self._driver.go()
+            except (CannotDo, DriverFault):
+                self.ticket = None
+                await self._driver.disarm()
+                raise
+            if interruptions != self._interruptions or self.ticket is not released:
+                await self._driver.disarm()
+                raise CannotDo("stopped", "a stop came before the start", "")
+            self._spawn(self._follow(released))
+            return Reply()
+
+    async def disarm(self, request: Disarm) -> Reply:
+        """Unload the step, if it is the one that is loaded. A step that moves is not touched."""
+        async with self._turn:
+            ticket = self.ticket
+            if ticket is None:
+                await self._driver.disarm()
+                return Reply()
+            if ticket.phase is Phase.MOVING:
+                raise CannotDo("moving", "the step moves already", "stop it")
+            self._interruptions += 1
+            self.ticket = None
+            await self._driver.disarm()
+            self._emit("disarmed", "disarmed on request", ticket)
+            return Reply()
+
+    def clock_mapping(self, mapping: TickMapping | None) -> ClockMapping | None:
+        """The bus form of a mapping."""
+        if mapping is None:
+            return None
+        return ClockMapping(
+            controller=self._controller,
+            ticks_at=mapping.ticks_at,
+            host_at_ns=mapping.host_at_ns,
+            tick_ns=mapping.tick_ns,
+            rate_ppm=mapping.rate_ppm,
+            residual_ns=mapping.residual_ns,
+            bound_ns=mapping.bound_ns,
+            samples=mapping.samples,
+            min_rtt_ns=mapping.min_rtt_ns,
+            valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),
+        )
+
+    # Ways out
+
+    async def stop(self, abort: bool, reason: str) -> None:
+        """Stop the controller now, whatever it does; nothing that is loaded starts afterwards."""
+        self._interruptions += 1
+        ticket, self.ticket = self.ticket, None
+        await self._driver.stop(abort)
+        if ticket is not None:
+            self._emit("stopped", reason, ticket)
+
+    async def abandon(self, reason: str) -> None:
+        """The coordinator is gone: unload what has not started, stop what moves."""
+        ticket = self.ticket
+        if ticket is None:
+            return
+        if ticket.phase in (Phase.RELEASED, Phase.MOVING):
+            await self.stop(False, reason)
+            return
+        self._interruptions += 1
+        self.ticket = None
+        await self._driver.disarm()
+        self._emit("disarmed", reason, ticket)
+
+    def lost(self, reason: str) -> None:
+        """The controller can not be reached any more, or has forgotten the step."""
+        self._interruptions += 1
+        ticket, self.ticket = self.ticket, None
+        if ticket is not None:
+            self._emit("failed", reason, ticket)
+
+    def quiet_until_ns(self) -> int | None:
+        """Until when nothing may be sent to the controller, when that time has begun; None otherwise."""
+        ticket = self.ticket
+        if ticket is None or ticket.phase is Phase.MOVING:
+            return None
+        return ticket.t0_host_ns if self._clock.now_ns() >= ticket.t0_host_ns - QUIET_NS else None
+
+    # Inside
+
+    def _require(self, request: StepRef, t0_fleet_ns: int, phase: Phase) -> Ticket:
+        ticket = self.ticket
+        if ticket is None or (ticket.job, ticket.step, ticket.t0_fleet_ns) != (request.job, request.step, t0_fleet_ns):
+            raise CannotDo("not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it")
+        if ticket.phase is not phase:
+            raise CannotDo("wrong-phase", f"the step is {ticket.phase.value}, not {phase.value}", "")
+        return ticket
+
+    async def _expire(self, ticket: Ticket) -> None:
+        """A step whose `go` has not come by T0 is unloaded."""
+        await sleep_until_ns(self._clock, ticket.t0_host_ns)
+        now = self.ticket
+        same = now is not None and (now.job, now.step, now.t0_fleet_ns) == (ticket.job, ticket.step, ticket.t0_fleet_ns)
+        if same and now is not None and now.phase in (Phase.ARMED, Phase.COMMITTED):
+            await self.abandon("T0 came without a go")
+
+    async def _follow(self, ticket: Ticket) -> None:
+        """From the gate to the end of the move, with the controller's own evidence."""
+        try:
+            started = await self._driver.started()
+            if self.ticket is not ticket:
+                return
+            moving = self.ticket = replace(ticket, phase=Phase.MOVING)
+            evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
+            self._emit("started", "started", moving, evidence)
+            outcome = await self._driver.outcome()
+            if self.ticket is not moving:
+                return
+        except (DriverFault, LinkClosed) as error:
+            if self.ticket is not None and self.ticket.t0_fleet_ns == ticket.t0_fleet_ns:
+                self.lost(str(error))
+                if isinstance(error, DriverFault):
+                    await self._driver.stop(False)
+            return
+        self.ticket = None
+        for axis, span in outcome.ended.items():
+            if axis in evidence:
+                evidence[axis] = AxisEvidence(start=evidence[axis].start, end=_interval(span, ticket.scale))
+        kind = {"done": "done", "stopped": "stopped", "fault": "failed"}[outcome.state]
+        self._emit(kind, outcome.reason or kind, moving, evidence)
+
+
+def _interval(span: Span, scale: FleetScale) -> Interval:
+    """A span of host time in fleet time, widened by what the scale is not known."""
+    return Interval(
+        earliest_ns=scale.fleet_ns(span.earliest_ns) - scale.bound_ns,
+        latest_ns=scale.fleet_ns(span.latest_ns) + scale.bound_ns,
+    )

@@ -1,0 +1,40 @@
+"""Logging: JSON lines with who, when (UTC and fleet time) and about what; warnings and worse also on the bus."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+from orchestrator.bus.base import Bus, Priority
+from orchestrator.bus.keys import Keys
+from orchestrator.clock.base import Clock
+
+Sink = Callable[[str], None]
+
+
+class Log:
+    """One process's or controller's log. `fleet_ns` gives fleet time where it is known."""
+
+    def __init__(
+        self, role: str, id: str, clock: Clock, sink: Sink, bus: Bus | None = None, keys: Keys | None = None
+    ) -> None:
+        self._who = {"role": role, "id": id}
+        self._clock = clock
+        self._sink = sink
+        self._bus = bus
+        self._key = keys.log(role, id) if keys else ""
+        self.fleet_ns: Callable[[], int | None] = lambda: None
+
+    def info(self, text: str, **fields: Any) -> None:
+        """What is worth a line in the file. Fields: job, step, epoch, controller, and whatever explains."""
+        self._sink(self._line("info", text, fields))
+
+    def warning(self, text: str, **fields: Any) -> None:
+        """What somebody should know now."""
+        line = self._line("warning", text, fields)
+        self._sink(line)
+        if self._bus is not None:
+            self._bus.put(self._key, line.encode(), Priority.EVENT)
+
+    def _line(self, level: str, text: str, fields: dict[str, Any]) -> str:
+        entry = {"utc": self._clock.utc(), "fleet_ns": self.fleet_ns(), "level": level, **self._who, "text": text}
+        return json.dumps(entry | fields, default=str)

@@ -1,0 +1,47 @@
+"""Fleet time: the scale on which starts are agreed, integer nanoseconds from 0, tied to the coordinator's clock."""
+
+from dataclasses import dataclass
+
+from orchestrator.clock.base import Clock
+from orchestrator.model.messages import Reign
+
+
+@dataclass(frozen=True, slots=True)
+class FleetScale:
+    """Fleet time as one host knows it: fleet_ns = host_ns - origin_host_ns, wrong by at most `bound_ns`."""
+
+    scale_id: str
+    origin_host_ns: int
+    bound_ns: int = 0
+
+    def fleet_ns(self, host_ns: int) -> int:
+        return host_ns - self.origin_host_ns
+
+    def host_ns(self, fleet_ns: int) -> int:
+        return fleet_ns + self.origin_host_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One question for fleet time: asked and answered at these host instants."""
+
+    sent_ns: int
+    received_ns: int
+    fleet_ns: int
+
+
+def exact_scale(reign: Reign, clock: Clock) -> FleetScale | None:
+    """The scale of a coordinator on this very kernel, exact; None when it runs on another."""
+    if reign.kernel_id != clock.kernel_id:
+        return None
+    return FleetScale(reign.scale_id, reign.origin_host_ns)
+
+
+def estimated_scale(scale_id: str, exchanges: list[Exchange]) -> FleetScale:
+    """The scale from questions over the bus: the smallest round trip decides, half of it is the bound.
+
+    Good for the seconds between adoption and a start; crystals of hosts differ by some 10 ppm.
+    """
+    best = min(exchanges, key=lambda each: each.received_ns - each.sent_ns)
+    middle_ns = (best.sent_ns + best.received_ns) // 2
+    return FleetScale(scale_id, middle_ns - best.fleet_ns, (best.received_ns - best.sent_ns + 1) // 2)
