@@ -303,6 +303,10 @@ class ZenohBus:
     def _transport_changed(self, event: zenoh.TransportEvent) -> None:
         if event.kind == zenoh.SampleKind.DELETE:
             self._disconnects += 1
+            if not self._closed:
+                _LOG.warning("lost the router at %s; what is put meanwhile is lost", self._endpoint)
+        elif self._disconnects:
+            _LOG.info("the router at %s is back", self._endpoint)
 
 
 async def open_bus(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> ZenohBus:

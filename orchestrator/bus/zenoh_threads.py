@@ -7,6 +7,7 @@ for seconds. And nothing is put from a Zenoh callback, which would stall everyth
 import asyncio
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import TypeVar
@@ -18,6 +19,9 @@ T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 
 _ORDER = (Priority.ESTOP, Priority.EVENT, Priority.STATE)
+
+SLOW_S = 1.0
+"""A call to Zenoh that takes longer goes into the log."""
 
 _BATCH = 64
 """Calls from the inbox before the loop gets its turn."""
@@ -77,11 +81,15 @@ class Sender:
 
     def _run(self) -> None:
         while (call := self._take()) is not None:
+            began_s = time.monotonic()
             try:
                 call()
             except Exception:
                 # The transport's complaint must reach the log and must not end the thread.
                 _LOG.exception("%s: a call to the bus failed", self._thread.name)
+            # After 5 s of blocking Zenoh closes the transport and loses what it held, without an error.
+            if (took_s := time.monotonic() - began_s) > SLOW_S:
+                _LOG.warning("%s: the router took %.1f s for one call; samples may be lost", self._thread.name, took_s)
 
     def _take(self) -> Callable[[], None] | None:
         with self._changed:

@@ -127,6 +127,10 @@ class LiveWorld:
     def heal(self) -> None:
         self._start("router", "router", self.endpoint)
 
+    def pid(self, name: str) -> int:
+        """The process number of a child."""
+        return self._children[name].pid
+
     async def leave(self) -> None:
         for bus in self._buses:
             await bus.close()

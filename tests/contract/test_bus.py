@@ -163,7 +163,7 @@ def test_the_text_of_a_refusal_travels(run: Run) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
         await world.peer("p")
-        with pytest.raises(RequestRefused, match="^p will not, whatever Jörg says$"):
+        with pytest.raises(RequestRefused, match=r"^p will not, whatever Jörg says$"):
             await a.request("t/p/refuse", "Jörg".encode(), LIMIT_S)
 
     run(body)
@@ -355,9 +355,9 @@ def test_what_was_put_before_close_goes_out(run: Run) -> None:
 def test_a_malformed_key_is_refused(run: Run, key: str) -> None:
     async def body(world: World) -> None:
         a = await world.join("a")
-        with pytest.raises(ValueError, match="key|chunk"):
+        with pytest.raises(ValueError, match=r"key|chunk"):
             a.put(key, b"")
-        with pytest.raises(ValueError, match="key|chunk"):
+        with pytest.raises(ValueError, match=r"key|chunk"):
             await a.request(key, b"", 1.0)
 
     run(body)

@@ -1,0 +1,106 @@
+"""Keys of a fleet, key expressions, and who may know Zenoh."""
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator.bus.expression import check_expression, check_key, intersects
+from orchestrator.bus.keys import Keys, Presence
+
+KEYS = Keys("lab-1")
+
+
+def test_keys_are_those_of_the_table() -> None:
+    built = {
+        KEYS.state("x"): "ctl/x/state",
+        KEYS.event("x"): "ctl/x/event",
+        KEYS.info("x"): "ctl/x/info",
+        KEYS.clock("x"): "ctl/x/clock",
+        KEYS.cmd("x", "arm"): "ctl/x/cmd/arm",
+        KEYS.lease("x"): "lease/x",
+        KEYS.lease("x", "a"): "lease/x/a",
+        KEYS.job_state("7"): "job/7/state",
+        KEYS.job_report("7"): "job/7/report",
+        KEYS.queue: "queue",
+        KEYS.svc("submit"): "svc/submit",
+        KEYS.time: "time",
+        KEYS.reign: "reign",
+        KEYS.estop: "estop",
+        KEYS.log("adapter", "x"): "log/adapter/x",
+        KEYS.live("adapter", "x", "9f"): "live/adapter/x/9f",
+    }
+    for key, tail in built.items():
+        assert key == f"tutti/v1/lab-1/{tail}"
+        assert check_key(key) == key
+
+
+def test_what_is_left_out_stands_for_all() -> None:
+    assert KEYS.state() == "tutti/v1/lab-1/ctl/*/state"
+    for wide, key in (
+        (KEYS.cmd("x"), KEYS.cmd("x", "arm")),
+        (KEYS.cmd(), KEYS.cmd("x", "arm")),
+        (KEYS.leases, KEYS.lease("x")),
+        (KEYS.leases, KEYS.lease("x", "a")),
+        (KEYS.leases_of("x"), KEYS.lease("x")),
+        (KEYS.leases_of("x"), KEYS.lease("x", "a")),
+        (KEYS.live("adapter"), KEYS.live("adapter", "x", "1")),
+        (KEYS.log(), KEYS.log("adapter", "x")),
+        (KEYS.job_state(), KEYS.job_state("7")),
+    ):
+        assert intersects(check_expression(wide), key)
+    assert not intersects(KEYS.leases_of("x"), KEYS.lease("y"))
+
+
+def test_keys_are_read_back() -> None:
+    assert KEYS.ctl_of(KEYS.state("x")) == "x"
+    assert KEYS.ctl_of(KEYS.lease("x", "a")) == "x"
+    assert KEYS.axis_of(KEYS.lease("x", "a")) == "a"
+    assert KEYS.axis_of(KEYS.lease("x")) is None
+    assert KEYS.verb_of(KEYS.cmd("x", "arm")) == "arm"
+    assert KEYS.verb_of(KEYS.svc("submit")) == "submit"
+    assert KEYS.job_of(KEYS.job_report("7")) == "7"
+    assert KEYS.presence_of(KEYS.live("adapter", "x", "9f")) == Presence("adapter", "x", "9f")
+
+
+@pytest.mark.parametrize("id", ["", "X", "a/b", "a b", "*", "ä", "a\n"])
+def test_an_id_that_cannot_be_one_is_refused(id: str) -> None:
+    with pytest.raises(ValueError, match="only a-z"):
+        KEYS.state(id)
+    with pytest.raises(ValueError, match="only a-z"):
+        KEYS.lease("x", id)
+    with pytest.raises(ValueError, match="fleet"):
+        Keys(id)
+
+
+@pytest.mark.parametrize("key", [Keys("other").state("x"), KEYS.queue, "ctl/x/state", KEYS.prefix])
+def test_a_key_of_something_else_is_not_read(key: str) -> None:
+    with pytest.raises(ValueError, match=r"no key of|not of fleet"):
+        KEYS.ctl_of(key)
+    with pytest.raises(ValueError, match=r"no key of|not of fleet"):
+        KEYS.verb_of(key)
+
+
+def test_a_state_key_has_no_verb() -> None:
+    with pytest.raises(ValueError, match="no command"):
+        KEYS.verb_of(KEYS.state("x"))
+
+
+def test_expressions_meet_as_zenoh_says() -> None:
+    zenoh = pytest.importorskip("zenoh")
+    chunks = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=5)
+
+    @given(chunks, chunks)
+    def same(one: list[str], other: list[str]) -> None:
+        ours = intersects("/".join(one), "/".join(other))
+        theirs = zenoh.KeyExpr.autocanonize("/".join(one)).intersects(zenoh.KeyExpr.autocanonize("/".join(other)))
+        assert ours == theirs
+
+    same()
+
+
+def test_only_the_live_bus_knows_zenoh() -> None:
+    program = "import orchestrator.bus.keys, orchestrator.bus.memory, sys; sys.exit('zenoh' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,0 +1,240 @@
+"""What the in-memory bus promises beyond the contract: faults at will, one outcome per seed, processes kept apart."""
+
+import asyncio
+from contextvars import ContextVar
+
+import pytest
+
+from orchestrator.bus.base import NoReply, Priority, RequestTimeout, Sample
+from orchestrator.bus.memory import LEASE_NS, MemoryBus, MemoryNet
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.virtual import Process, VirtualClock, run_virtual
+
+WHO: ContextVar[str] = ContextVar("who", default="medium")
+
+
+async def _echo(sample: Sample) -> bytes:
+    return sample.payload
+
+
+def test_a_sample_takes_time_and_one_seed_gives_one_outcome() -> None:
+    def log_of(seed: int) -> list[tuple[int, str, bytes]]:
+        log: list[tuple[int, str, bytes]] = []
+
+        async def main(clock: VirtualClock) -> None:
+            net = MemoryNet(clock, seed=seed)
+            a, b = net.join("a"), net.join("b")
+            await b.subscribe("**", lambda sample: log.append((clock.now_ns(), sample.key, sample.payload)))
+            for number in range(500):
+                a.put(f"k/{number % 3}", str(number).encode())
+                await sleep_ns(clock, NS_PER_MS // 10)
+            await sleep_ns(clock, NS_PER_S)
+
+        run_virtual(main)
+        return log
+
+    log = log_of(1)
+    assert len(log) == 500
+    assert log == log_of(1)
+    assert log != log_of(2)
+    delays_ns = sorted(at_ns - int(payload) * NS_PER_MS // 10 for at_ns, _, payload in log)
+    assert delays_ns[0] >= 40 * NS_PER_US
+    assert 50 * NS_PER_US < delays_ns[250] < 80 * NS_PER_US
+    assert [number for _, _, number in log] != sorted([number for _, _, number in log], key=int)
+
+
+def test_everything_runs_in_the_context_that_declared_it() -> None:
+    ran: list[tuple[str, str]] = []
+
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b = net.join("a"), net.join("b")
+
+        async def handle(sample: Sample) -> bytes:
+            ran.append(("handler", WHO.get()))
+            await sleep_ns(clock, NS_PER_MS)
+            ran.append(("handler", WHO.get()))
+            return b""
+
+        async def declare() -> None:
+            WHO.set("b")
+            await b.subscribe("k", lambda _: ran.append(("callback", WHO.get())))
+            await b.watch("live/*", lambda *_: ran.append(("watch", WHO.get())))
+            await b.serve("q", handle)
+
+        async def use() -> None:
+            WHO.set("a")
+            a.put("k", b"")
+            await a.announce("live/a")
+            await a.request("q", b"", 1.0)
+            ran.append(("asker", WHO.get()))
+
+        await asyncio.create_task(declare())
+        await asyncio.create_task(use())
+
+    run_virtual(main)
+    assert sorted(ran) == [("asker", "a"), ("callback", "b"), ("handler", "b"), ("handler", "b"), ("watch", "b")]
+
+
+def test_what_a_process_sent_before_it_died_or_froze_arrives() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        got: list[bytes] = []
+        await net.join("test").subscribe("k", lambda sample: got.append(sample.payload))
+        processes: dict[str, Process] = {}
+        for name in ("a", "b"):
+            process = processes[name] = Process(clock.loop, name)
+            bus = process.run(lambda name=name: net.join(name))
+
+            async def put_and_serve(name: str = name, bus: MemoryBus = bus) -> None:
+                await bus.serve(f"q/{name}", _echo)
+                bus.put("k", name.encode(), Priority.EVENT)
+
+            await process.start(put_and_serve())
+        processes["a"].kill()
+        net.kill("a")
+        processes["b"].freeze()
+        net.hang("b")
+        await sleep_ns(clock, NS_PER_S)
+        assert sorted(got) == [b"a", b"b"]
+        with pytest.raises(NoReply):
+            await net.join("c").request("q/a", b"", 1.0)
+        with pytest.raises(RequestTimeout):
+            await net.join("d").request("q/b", b"", 1.0)
+
+    run_virtual(main)
+
+
+def test_a_hung_process_gets_estops_first_and_state_up_to_the_limit() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock, queue_limit=10)
+        a, b = net.join("a"), net.join("b")
+        got: list[Sample] = []
+        await b.subscribe("**", got.append)
+        net.hang("b")
+        for number in range(20):
+            a.put("state", str(number).encode())
+            a.put("event", str(number).encode(), Priority.EVENT)
+        await sleep_ns(clock, NS_PER_S)
+        a.put("estop", b"", Priority.ESTOP)
+        await sleep_ns(clock, NS_PER_S)
+        assert got == []
+        net.resume("b")
+        await sleep_ns(clock, NS_PER_S)
+        assert got[0].key == "estop"
+        assert [int(sample.payload) for sample in got if sample.key == "state"] == list(range(10))
+        assert [int(sample.payload) for sample in got if sample.key == "event"] == list(range(20))
+
+    run_virtual(main)
+
+
+def test_what_a_hung_process_puts_waits_as_backlog() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b = net.join("a"), net.join("b")
+        got: list[bytes] = []
+        await b.subscribe("k", lambda sample: got.append(sample.payload))
+        net.hang("a")
+        for number in range(3):
+            a.put("k", str(number).encode(), Priority.EVENT)
+        assert a.backlog == 3
+        net.resume("a")
+        assert a.backlog == 0
+        await sleep_ns(clock, NS_PER_S)
+        assert got == [b"0", b"1", b"2"]
+
+    run_virtual(main)
+
+
+def test_a_hang_is_presence_for_a_lease_and_then_absence() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b = net.join("a"), net.join("b")
+        seen: list[tuple[int, bool]] = []
+        await a.watch("live/b", lambda _, present: seen.append((clock.now_ns(), present)))
+        await b.announce("live/b")
+        await b.serve("q", _echo)
+        net.hang("b")
+        await sleep_ns(clock, LEASE_NS - NS_PER_S)
+        with pytest.raises(RequestTimeout):
+            await a.request("q", b"", 0.5)
+        assert [present for _, present in seen] == [True]
+        await sleep_ns(clock, NS_PER_S)
+        assert [present for _, present in seen] == [True, False]
+        assert seen[1][0] >= LEASE_NS
+        with pytest.raises(NoReply):
+            await a.request("q", b"", 0.5)
+        net.resume("b")
+        await sleep_ns(clock, NS_PER_S)
+        assert [present for _, present in seen] == [True, False, True]
+        assert await a.request("q", b"x", 0.5) == b"x"
+
+    run_virtual(main)
+
+
+def test_a_partition_parts_the_sides_and_nobody_else() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b, c, d = (net.join(name) for name in "abcd")
+        got: dict[str, list[bytes]] = {"a": [], "b": [], "c": [], "d": []}
+        present: dict[str, dict[str, bool]] = {"a": {}, "c": {}}
+        for bus in (a, b, c, d):
+            await bus.subscribe("k", lambda sample, name=bus.name: got[name].append(sample.payload))
+            await bus.announce(f"live/{bus.name}")
+        await c.serve("q", _echo)
+        await d.serve("p", _echo)
+        await a.watch("live/*", present["a"].__setitem__)
+        await c.watch("live/*", present["c"].__setitem__)
+        await sleep_ns(clock, NS_PER_S)
+        a.put("k", b"first", Priority.EVENT)
+        net.partition({"a", "b"}, {"c"})
+        a.put("k", b"second", Priority.EVENT)
+        c.put("k", b"from c", Priority.EVENT)
+        with pytest.raises(RequestTimeout):
+            await a.request("q", b"", 1.0)
+        assert await a.request("p", b"x", 1.0) == b"x"
+        assert got["b"] == [b"first", b"second"]
+        assert got["c"] == [b"from c"]
+        assert sorted(got["d"]) == [b"first", b"from c", b"second"]
+        assert all(present["a"].values())
+        await sleep_ns(clock, LEASE_NS)
+        assert present["a"] == {"live/a": True, "live/b": True, "live/c": False, "live/d": True}
+        assert present["c"] == {"live/a": False, "live/b": False, "live/c": True, "live/d": True}
+        net.heal()
+        assert await a.request("q", b"x", 1.0) == b"x"
+        await sleep_ns(clock, NS_PER_S)
+        assert all(present["a"].values())
+        assert all(present["c"].values())
+
+    run_virtual(main)
+
+
+def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        a, b = net.join("a"), net.join("b")
+        seen: list[tuple[int, str, bool]] = []
+        await a.watch("live/*", lambda key, present: seen.append((clock.now_ns(), key, present)))
+        await b.announce("live/1")
+        await b.serve("q", _never)
+        await sleep_ns(clock, NS_PER_S)
+        asked = asyncio.ensure_future(a.request("q", b"", 5.0))
+        await sleep_ns(clock, NS_PER_MS)
+        killed_ns = clock.now_ns()
+        net.kill("b")
+        with pytest.raises(NoReply):
+            await asked
+        again = net.join("b")
+        await again.announce("live/2")
+        await sleep_ns(clock, NS_PER_S)
+        assert [(key, present) for _, key, present in seen] == [("live/1", True), ("live/1", False), ("live/2", True)]
+        assert 0 < seen[1][0] - killed_ns < 10 * NS_PER_MS
+        with pytest.raises(ValueError, match="on the bus already"):
+            net.join("b")
+
+    run_virtual(main)
+
+
+async def _never(_: Sample) -> bytes:
+    await asyncio.Event().wait()
+    return b""

@@ -1,0 +1,149 @@
+"""What only the live bus can do wrong: endpoints, routers that stand still, callbacks of a faulty program."""
+
+import asyncio
+import gc
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from bus_worlds import LIMIT_S, LiveWorld, linked, run_live, until
+
+from orchestrator.bus.base import NoReply, Priority, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.zenoh_bus import open_bus
+from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable, open_router
+
+FLOOD = 1000
+"""Samples of 60 kB that the kernel's socket buffers surely do not hold."""
+
+pytestmark = pytest.mark.live
+
+
+def test_an_absent_router_is_named_with_the_remedy() -> None:
+    endpoint = LiveWorld().endpoint
+    with pytest.raises(RouterUnreachable, match=rf"{endpoint} within 0\.2 s; start one there"):
+        asyncio.run(open_bus(endpoint, timeout_s=0.2))
+
+
+def test_a_router_that_is_still_being_started_is_waited_for() -> None:
+    async def body(world: LiveWorld) -> None:
+        world.cut()
+        joining = asyncio.ensure_future(world.join("a"))
+        await asyncio.sleep(0.2)
+        world.heal()
+        with pytest.raises(NoReply):
+            await (await joining).request("t/nobody", b"", LIMIT_S)
+
+    run_live(body)
+
+
+def test_a_taken_endpoint_is_named_with_the_remedy() -> None:
+    async def body(world: LiveWorld) -> None:
+        with pytest.raises(RouterRefused, match=f"{world.endpoint}: another process does. Stop that one, or choose"):
+            open_router(world.endpoint)
+
+    run_live(body)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/192.0.2.1:7447"])
+def test_plain_tcp_is_for_this_host_alone(endpoint: str) -> None:
+    with pytest.raises(RouterRefused, match="without TLS"):
+        open_router(endpoint)
+
+
+def test_a_router_that_stands_still_holds_up_nothing_but_itself() -> None:
+    async def body(world: LiveWorld) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        await b.subscribe("t/x", lambda _: None)
+        await linked(a, b)
+        loop = asyncio.get_running_loop()
+        world.hang("router")
+        began_s = loop.time()
+        for _ in range(FLOOD):
+            a.put("t/x", b"x" * 60_000, Priority.EVENT)
+            a.put("t/x", b"x" * 60_000)
+        assert loop.time() - began_s < 1.0
+        with pytest.raises(RequestTimeout):
+            await a.request("t/y", b"", 0.3)
+        assert a.backlog > 10
+        began_s = loop.time()
+        await a.close()
+        assert loop.time() - began_s < 3.0
+        del a
+        began_s = loop.time()
+        gc.collect()
+        assert loop.time() - began_s < 1.0
+
+    run_live(body)
+
+
+def test_a_process_ends_although_its_router_stands_still() -> None:
+    program = """
+import asyncio, os, signal, sys
+from orchestrator.bus.base import Priority
+from orchestrator.bus.zenoh_bus import open_bus
+
+async def main():
+    bus = await open_bus(sys.argv[1])
+    await bus.subscribe("t/**", print)
+    await bus.announce("t/live")
+    os.kill(int(sys.argv[2]), signal.SIGSTOP)
+    for _ in range(int(sys.argv[3])):
+        bus.put("t/x", b"x" * 60_000, Priority.EVENT)
+    await bus.close()
+
+asyncio.run(main())
+"""
+
+    async def body(world: LiveWorld) -> None:
+        command = [sys.executable, "-c", program, world.endpoint, str(world.pid("router")), str(FLOOD)]
+        assert subprocess.run(command, timeout=10, check=False, capture_output=True).returncode == 0
+
+    run_live(body)
+
+
+def test_a_fault_of_a_handler_is_answered_and_reported() -> None:
+    async def body(world: LiveWorld) -> None:
+        a = await world.join("a")
+        reported: list[dict[str, Any]] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: reported.append(context))
+
+        async def fail(sample: Sample) -> bytes:
+            raise KeyError("axis")
+
+        def stumble(sample: Sample) -> None:
+            raise KeyError(sample.key)
+
+        got: list[Sample] = []
+        await a.subscribe("t/x", stumble)
+        await a.subscribe("t/x", got.append)
+        await a.serve("t/fail", fail)
+        await linked(a, a)
+        with pytest.raises(RequestRefused, match="KeyError while answering t/fail: 'axis'"):
+            await a.request("t/fail", b"", LIMIT_S)
+        a.put("t/x", b"")
+        await until(lambda: len(got) == 1)
+        assert [type(context["exception"]) for context in reported] == [KeyError, KeyError]
+
+    run_live(body)
+
+
+def test_what_was_declared_stands_though_nobody_holds_it() -> None:
+    async def body(world: LiveWorld) -> None:
+        a, b = await world.join("a"), await world.join("b")
+        got: list[object] = []
+        await b.subscribe("t/x", got.append)
+        await b.watch("t/live/*", lambda key, _: got.append(key))
+        gc.collect()
+        await linked(a, b)
+        await a.announce("t/live/a")
+        gc.collect()
+        a.put("t/x", b"")
+        await until(lambda: len(got) == 2)
+        assert "t/live/a" in got
+
+    run_live(body)
