@@ -1,0 +1,105 @@
+"""The state of one axis."""
+
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+from sim.core.controller import LimitSwitch
+from sim.shrc203.path import Triple
+
+if TYPE_CHECKING:
+    from orchestrator.clock.base import Timer
+    from sim.shrc203.drive import Run
+    from sim.shrc203.entries import Entry
+    from sim.shrc203.line import Reply
+
+
+class Phase(Enum):
+    """What an axis is doing; Busy is everything but IDLE."""
+
+    IDLE = auto()
+    MOVING = auto()
+    SETTLING = auto()
+    """The profile is over; in-position and the W: time are awaited (L2566)."""
+    STANDBY = auto()
+    """WT: or WI: is being executed (Busy by decision 13)."""
+    AWAITING = auto()
+    """The next operation has migrated and is about to start, or waits for its other axes."""
+
+
+@dataclass(slots=True, eq=False)
+class Axis:
+    """One axis: counters, settings, buffers and errors. Positions are pulses."""
+
+    index: int
+    name: str
+    controllable: bool = True
+
+    position: int = 0
+    """Pulses from the place of the first power-up, where the last finished motion ended."""
+    offset: int = 0
+    """Coordinate minus position."""
+    zeroed: int = 0
+    """What R: has taken off the coordinate, for RC: (L2918)."""
+    origin: int = -1000
+    """The mechanical origin, as `position`."""
+    slip: int = 0
+    """Position minus what the scale has followed."""
+    stalled_at: int | None = None
+    """Where the stage is stuck, as `position`."""
+    limits: LimitSwitch | None = None
+    """Limit switches pressed from outside; None: by travel."""
+    travel: tuple[int, int] | None = None
+    """Limit switches by travel, as `position`."""
+    home_sensor: bool | None = None
+    """ORG sensor held from outside; None: by position."""
+    soft_limits: tuple[int, int] | None = None
+    """Least and greatest coordinate."""
+
+    base_rate: int = 200
+    divide: int = 2000
+    deg_per_pulse: Fraction | None = None
+    stage_unit: str = "P"
+    axis_name: str = "1"
+    config: str = "off"
+    triple: Triple = field(default_factory=lambda: Triple(100, 1000, 100))
+    origin_triple: Triple = field(default_factory=lambda: Triple(100, 1000, 100))
+    closed_loop: bool = False
+    excited: bool = True
+
+    errors: set[str] = field(default_factory=set[str])
+    """Device errors S1-S10 that stand."""
+    command_error: bool = False
+    limit_stop: bool = False
+    """The last stop was by a limit sensor (decision 30)."""
+    soft_stop: int = 0
+    """Direction of the software limit that stopped the last motion, or 0."""
+
+    phase: Phase = Phase.IDLE
+    run: "Run | None" = None
+    execution: "Entry | None" = None
+    executed: bool = False
+    """The execution buffer's value has been run; it stays readable (decision 20)."""
+    pre: "Entry | None" = None
+    timer: "Timer | None" = None
+    """Of a timed standby or a hand-over."""
+    reply: "Reply | None" = None
+    """Where completion characters go: the port that started (decision 47)."""
+
+    @property
+    def busy(self) -> bool:
+        return self.phase is not Phase.IDLE
+
+    @property
+    def nm_per_pulse(self) -> Fraction:
+        """BASE RATE x 10 / DIVIDE (L807)."""
+        return Fraction(self.base_rate * 10, self.divide)
+
+    def limit_on(self, sign: int, position: float) -> bool:
+        """Whether the limit switch at the `sign` end is on with the stage at `position`."""
+        if self.limits is not None:
+            return self.limits in ("both", "forward" if sign > 0 else "reverse")
+        if self.travel is None:
+            return False
+        return position >= self.travel[1] if sign > 0 else position <= self.travel[0]

@@ -1,0 +1,86 @@
+"""The bench that test vectors of the SHRC-203 run on."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from sim.core.controller import LimitSwitch
+from sim.shrc203.axis import Axis
+from sim.shrc203.controller import Shrc203Controller
+from sim.shrc203.inputs import bit
+from sim.shrc203.status import ERRORS
+
+
+class _Truth(BaseModel):
+    """The physical truths of a vector; axis names are "1", "2", "3", positions are pulses."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    position: dict[str, int] = {}
+    encoder: dict[str, int] = {}
+    inputs: dict[int, bool] = {}
+    outputs: dict[int, bool] = {}
+    limits: dict[str, LimitSwitch] = {}
+    home: dict[str, bool] = {}
+    motor_off: list[str] = []
+    stalled: list[str] = []
+    error: dict[str, list[str]] = {}
+    """Device error (`S1`, …, `EMERGENCY`) to the axes that have it."""
+    power: Literal["cycle"] | None = None
+
+
+class Bench:
+    """A controller without delays, and the handles that vectors need."""
+
+    def __init__(self, controller: Shrc203Controller) -> None:
+        self._controller = controller
+
+    @property
+    def controller(self) -> Shrc203Controller:
+        return self._controller
+
+    @property
+    def port(self) -> str:
+        return "serial"
+
+    def given(self, truth: Mapping[str, object]) -> None:
+        """Bring about what a vector's `given` or a `setup` step states."""
+        stated = _Truth.model_validate(dict(truth))
+        controller, unit = self._controller, self._controller.unit
+        if stated.power is not None:
+            controller.set_power(False)
+            controller.set_power(True)
+        for name, coordinate in stated.position.items():
+            axis = self._axis(name)
+            axis.position = coordinate - axis.offset
+        for name, coordinate in stated.encoder.items():
+            axis = self._axis(name)
+            axis.slip = axis.position + axis.offset - coordinate
+        for number, level in stated.inputs.items():
+            controller.set_input(number, level)
+        for number, level in stated.outputs.items():
+            value = unit.outputs.value
+            unit.outputs.set(value | bit(number) if level else value & ~bit(number))
+        for name, which in stated.limits.items():
+            controller.set_limit(name, which)
+        for name, on in stated.home.items():
+            self._axis(name).home_sensor = on
+        for name in stated.motor_off:
+            self._axis(name).excited = False
+        for name in stated.stalled:
+            controller.set_stalled(name, True)
+        for error, names in stated.error.items():
+            if error not in ERRORS:
+                raise ValueError(f"no error {error!r}; there are {', '.join(sorted(ERRORS))}")
+            for name in names:
+                self._axis(name).errors.add(error)
+
+    def refused(self, reply: bytes) -> bool:
+        return reply.strip() in (b"NG", b"NG_I")
+
+    def _axis(self, name: str) -> Axis:
+        for axis in self._controller.unit.axes:
+            if axis.name == name:
+                return axis
+        raise ValueError(f"no axis {name!r}; there are {', '.join(self._controller.axes)}")

@@ -1,0 +1,63 @@
+"""Lines on the serial port (decisions 1 and 5) and where answers go."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+Reply = Callable[[str], None]
+"""Takes one reply line, without its terminator."""
+
+_NUL = 0
+_CR = 13
+_LF = 10
+_FIRST_NON_ASCII = 128
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLine:
+    """One received line. `clean`: neither NUL nor non-ASCII bytes in it (L237); `whole`: not over-long."""
+
+    text: str
+    clean: bool
+    whole: bool
+
+
+@dataclass(slots=True)
+class LineReader:
+    """Cuts the bytes of one port into lines. A line ends with LF, or CR LF; with `cr_only`, with CR.
+
+    There is no inter-character time-out: half a line waits for its other half.
+    """
+
+    limit: int
+    cr_only: bool
+    _pending: bytearray = field(default_factory=bytearray)
+
+    def lines(self, data: bytes) -> list[CommandLine]:
+        """Lines that `data` completes. Empty ones are dropped."""
+        end = _CR if self.cr_only else _LF
+        found: list[CommandLine] = []
+        *complete, rest = data.split(bytes((end,)))
+        for piece in complete:
+            self._keep(piece)
+            line = bytes(self._pending)
+            self._pending.clear()
+            if self.cr_only:
+                line = line.removeprefix(b"\n")
+            else:
+                line = line.removesuffix(b"\r")
+            if line:
+                clean = not any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in line)
+                found.append(CommandLine(line.decode("latin-1"), clean, len(line) <= self.limit))
+        self._keep(rest)
+        return found
+
+    def clear(self) -> None:
+        """Forget half a line."""
+        self._pending.clear()
+
+    def _keep(self, piece: bytes) -> None:
+        room = self.limit + 2 - len(self._pending)
+        self._pending += piece[: max(0, room)]
+        # What no longer fits is not needed, but whether it spoils the line is.
+        if len(piece) > room and any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in piece[max(0, room) :]):
+            self._pending[0] = _NUL

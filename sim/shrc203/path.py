@@ -1,0 +1,263 @@
+"""Paths of one axis in closed form: displacement (pls) and velocity (pls/s) over device time (s) from the start."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Triple:
+    """Minimum speed S and maximum speed F, pls/s, and acceleration time R, ms (section 4.1)."""
+
+    s: int
+    f: int
+    r: int
+
+    @property
+    def start(self) -> int:
+        """The speed that a move starts and ends with; JD: can leave F below S."""
+        return min(self.s, self.f)
+
+    @property
+    def slope(self) -> float:
+        """Acceleration, pls/s²; 0 when S = F."""
+        return (self.f - self.start) * 1000.0 / self.r
+
+    def __str__(self) -> str:
+        return f"S{self.s}F{self.f}R{self.r}"
+
+
+class Path(Protocol):
+    """Where an axis is commanded to be, relative to where it started."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds; infinite for a jog."""
+        ...
+
+    @property
+    def end(self) -> int:
+        """Displacement at the end, whole pulses."""
+        ...
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Displacement and velocity `t` seconds after the start."""
+        ...
+
+    def first_at(self, bound: float, sign: int, after: float) -> float | None:
+        """First time >= `after` at or beyond `bound` in direction `sign` while moving in that direction."""
+        ...
+
+    def first_toward(self, sign: int, after: float) -> float | None:
+        """First time >= `after` with motion in direction `sign`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Constant acceleration `a` from time `t` on, starting at displacement `x` with velocity `v`."""
+
+    t: float
+    x: float
+    v: float
+    a: float
+
+
+@dataclass(frozen=True, slots=True)
+class RampPath:
+    """Segments of constant acceleration; the velocity does not change its sign inside a segment."""
+
+    segments: tuple[Segment, ...]
+    duration: float
+    end: int
+
+    def at(self, t: float) -> tuple[float, float]:
+        if t >= self.duration:
+            return float(self.end), 0.0
+        segment = self.segments[0]
+        for segment in reversed(self.segments):
+            if segment.t <= t:
+                break
+        dt = max(0.0, t - segment.t)
+        return segment.x + (segment.v + 0.5 * segment.a * dt) * dt, segment.v + segment.a * dt
+
+    def first_at(self, bound: float, sign: int, after: float) -> float | None:
+        for segment, until in self._spans(after):
+            if not _points(segment, sign):
+                continue
+            begin = max(after, segment.t)
+            if sign * (self._x(segment, begin) - bound) >= -_TINY:
+                return begin
+            if math.isinf(until):
+                return segment.t + (bound - segment.x) / segment.v
+            if sign * (self._x(segment, until) - bound) >= -_TINY:
+                return min(until, segment.t + _reach(segment, bound - segment.x))
+        return None
+
+    def first_toward(self, sign: int, after: float) -> float | None:
+        for segment, _ in self._spans(after):
+            if _points(segment, sign):
+                return max(after, segment.t)
+        return None
+
+    def _spans(self, after: float) -> list[tuple[Segment, float]]:
+        ends = [segment.t for segment in self.segments[1:]] + [self.duration]
+        return [(segment, end) for segment, end in zip(self.segments, ends, strict=True) if end > after]
+
+    @staticmethod
+    def _x(segment: Segment, t: float) -> float:
+        dt = t - segment.t
+        return segment.x + (segment.v + 0.5 * segment.a * dt) * dt
+
+
+def _points(segment: Segment, sign: int) -> bool:
+    return sign * segment.v > 0 or (segment.v == 0 and sign * segment.a > 0)
+
+
+def _reach(segment: Segment, distance: float) -> float:
+    """Time within the segment after which `distance` is covered."""
+    if segment.a == 0.0:
+        return distance / segment.v
+    root = math.sqrt(max(0.0, segment.v * segment.v + 2.0 * segment.a * distance))
+    # The form that does not cancel: 2d / (v ± root), with the root's sign that of the motion.
+    return 2.0 * distance / (segment.v + math.copysign(root, segment.v or segment.a))
+
+
+class PathBuilder:
+    """Puts segments one after the other."""
+
+    def __init__(self, x: float = 0.0) -> None:
+        self._segments: list[Segment] = []
+        self.t = 0.0
+        self.x = x
+
+    def ramp(self, v: float, to_v: float, duration: float) -> None:
+        """Velocity changes linearly from `v` to `to_v` in `duration` seconds."""
+        if duration <= 0.0:
+            return
+        self._segments.append(Segment(self.t, self.x, v, (to_v - v) / duration))
+        self.t += duration
+        self.x += 0.5 * (v + to_v) * duration
+
+    def cruise(self, v: float, distance: float) -> None:
+        """`distance` (of v's sign) at constant velocity."""
+        if distance and v:
+            self._segments.append(Segment(self.t, self.x, v, 0.0))
+            self.t += distance / v
+            self.x += distance
+
+    def move(self, distance: float, triple: Triple) -> None:
+        """Acceleration, cruise and deceleration over `distance`, from and to speed S (decision 8)."""
+        if not distance:
+            return
+        sign = math.copysign(1.0, distance)
+        length, s, f, slope = abs(distance), float(triple.start), float(triple.f), triple.slope
+        ramps = (s + f) * triple.r * 1e-3
+        if slope == 0.0:
+            self.cruise(sign * s, distance)
+        elif length >= ramps:
+            self.ramp(sign * s, sign * f, triple.r * 1e-3)
+            self.cruise(sign * f, sign * (length - ramps))
+            self.ramp(sign * f, sign * s, triple.r * 1e-3)
+        else:
+            peak = math.sqrt(s * s + slope * length)
+            self.ramp(sign * s, sign * peak, (peak - s) / slope)
+            self.ramp(sign * peak, sign * s, (peak - s) / slope)
+
+    def done(self, end: int | None = None) -> RampPath:
+        """The path; it ends at `end`, or at the last whole pulse that it came by."""
+        return RampPath(
+            tuple(self._segments) or (Segment(0.0, self.x, 0.0, 0.0),),
+            self.t,
+            math.trunc(self.x + math.copysign(_TINY, self.x)) if end is None else end,
+        )
+
+
+def trapezoid(distance: int, triple: Triple) -> RampPath:
+    """The move of `distance` pulses with this speed triple."""
+    builder = PathBuilder()
+    builder.move(distance, triple)
+    return builder.done(distance)
+
+
+def constant(distance: int, duration: float) -> RampPath:
+    """`distance` pulses at constant velocity in `duration` seconds."""
+    if not distance:
+        return RampPath((Segment(0.0, 0.0, 0.0, 0.0),), duration, 0)
+    return RampPath((Segment(0.0, 0.0, distance / duration, 0.0),), duration, distance)
+
+
+def endless(velocity: float, x: float = 0.0) -> RampPath:
+    """Constant velocity until something stops it (jog)."""
+    return RampPath((Segment(0.0, x, velocity, 0.0),), math.inf, 0)
+
+
+def decelerated(x: float, velocity: float, triple: Triple) -> RampPath:
+    """From displacement `x` and `velocity` down to speed S with the slope of the ramps, then stop (decision 26)."""
+    builder = PathBuilder(x)
+    low = math.copysign(min(abs(velocity), float(triple.start)), velocity)
+    if triple.slope:
+        builder.ramp(velocity, low, (abs(velocity) - abs(low)) / triple.slope)
+    return builder.done()
+
+
+def joined(distances: Sequence[int], triples: Sequence[Triple]) -> RampPath:
+    """Complete moves one after the other, each from and to its speed S."""
+    builder = PathBuilder()
+    for distance, triple in zip(distances, triples, strict=True):
+        builder.move(distance, triple)
+    return builder.done(sum(distances))
+
+
+@dataclass(frozen=True, slots=True)
+class ArcPath:
+    """One coordinate of a circular motion at constant angular speed.
+
+    The displacement is centre + radius·cos(phase + omega·t); the other coordinate has its phase turned by 90°.
+    """
+
+    centre: float
+    radius: float
+    phase: float
+    omega: float
+    duration: float
+    end: int
+
+    def at(self, t: float) -> tuple[float, float]:
+        if t >= self.duration:
+            return float(self.end), 0.0
+        angle = self.phase + self.omega * max(0.0, t)
+        return self.centre + self.radius * math.cos(angle), -self.radius * self.omega * math.sin(angle)
+
+    def first_at(self, bound: float, sign: int, after: float) -> float | None:
+        if not self.omega or after >= self.duration:
+            return None
+        x, _ = self.at(after)
+        if sign * (x - bound) >= 0:
+            return self.first_toward(sign, after)
+        ratio = (bound - self.centre) / self.radius
+        if abs(ratio) > 1.0:
+            return None
+        # Motion in direction `sign` needs sign·omega·sin(angle) < 0, which picks one of the two angles.
+        angle = math.acos(ratio)
+        if sign * self.omega > 0:
+            angle = -angle
+        t = self._next(angle, after)
+        return t if t < self.duration else None
+
+    def first_toward(self, sign: int, after: float) -> float | None:
+        if not self.omega or after >= self.duration:
+            return None
+        if sign * self.at(after)[1] > 0:
+            return after
+        t = self._next(math.pi if sign > 0 else 0.0, after)
+        return t if t < self.duration else None
+
+    def _next(self, angle: float, after: float) -> float:
+        """First time >= `after` at which the phase is `angle`, whole turns aside."""
+        period = 2.0 * math.pi / abs(self.omega)
+        t = (angle - self.phase) / self.omega
+        return t + math.ceil((after - t) / period) * period

@@ -1,0 +1,155 @@
+"""What the unit says about itself when polled: `!:`, `Q:`, `SRQ:` (section 7)."""
+
+import re
+from fractions import Fraction
+
+from sim.shrc203.axis import Axis, Phase
+from sim.shrc203.drive import Kind
+from sim.shrc203.grammar import GROUPS, Refused, decimal, size
+from sim.shrc203.unit import Unit
+
+_ERROR_BITS = {
+    "S1": 0x4,
+    "S2": 0x8,
+    "S4": 0x10,
+    "EMERGENCY": 0x20,
+    "S3": 0x40,
+    "S5": 0x80,
+    "S6": 0x100,
+    "S9": 0x200,
+    "S7": 0x1000,
+    "S10": 0x4000,
+}
+ERRORS = frozenset(_ERROR_BITS)
+"""Device errors that can stand on an axis (L448)."""
+_NORMAL, _COMMAND_ERROR = 0x1, 0x2
+_OUT_READY, _OUT_BUSY = 0x8000, 0x10000
+_ZERO_RETURN, _ORIGIN_RETURN = 0x20000, 0x40000
+_CW, _CCW, _SOFT_CW, _SOFT_CCW = 0x80000, 0x100000, 0x200000, 0x400000
+_NEAR, _ORG = 0x800000, 0x1000000
+
+_LIMIT_LETTERS = {
+    (): "K",
+    (0,): "1",
+    (1,): "2",
+    (2,): "3",
+    (0, 1): "C",
+    (0, 2): "D",
+    (1, 2): "E",
+    (0, 1, 2): "W",
+}
+"""Field s of Q: by the axes stopped by a limit sensor (L432-L446)."""
+_DETAILED = re.compile(r"S([NUMDP]?)([EC]?)")
+
+
+def word(unit: Unit, axis: Axis, at_ns: int) -> int:
+    """The 25-bit status word of an axis (L519-L567); 0 for an invalid one. Forward is CW."""
+    if not axis.controllable:
+        return 0
+    bits = _COMMAND_ERROR if axis.command_error else 0
+    if axis.errors:
+        for error in axis.errors:
+            bits |= _ERROR_BITS[error]
+    elif not bits:
+        bits = _NORMAL
+    run = axis.run
+    if run is not None:
+        if run.kind is Kind.ORIGIN:
+            bits |= _ORIGIN_RETURN
+        elif run.kind is Kind.ZERO:
+            bits |= _ZERO_RETURN
+    position = unit.drive.position(axis, at_ns)
+    if axis.closed_loop:
+        away = unit.drive.followed(axis, at_ns) != position
+        settling = axis.phase is Phase.SETTLING and unit.options.settle_ms > 0
+        if away or settling:
+            bits |= _OUT_BUSY if axis.busy else _OUT_READY
+    if axis.limit_on(1, position):
+        bits |= _CW
+    if axis.limit_on(-1, position):
+        bits |= _CCW
+    if axis.soft_stop:
+        bits |= _SOFT_CW if axis.soft_stop > 0 else _SOFT_CCW
+    away_pls = abs(position - axis.origin)
+    if unit.options.near_pls and away_pls <= unit.options.near_pls:
+        bits |= _NEAR
+    if axis.home_sensor if axis.home_sensor is not None else away_pls == 0:
+        bits |= _ORG
+    return bits
+
+
+def _busy_letter(unit: Unit) -> str:
+    return "B" if any(axis.busy for axis in unit.controllable) else "R"
+
+
+def _summary(unit: Unit) -> str:
+    """Fields e, s, r of Q: and SRQ: (L426-L452)."""
+    if any(axis.errors for axis in unit.controllable):
+        stop = "R"
+    else:
+        stop = _LIMIT_LETTERS[tuple(axis.index for axis in unit.controllable if axis.limit_stop)]
+    return f"{'X' if unit.command_error else 'K'},{stop},{_busy_letter(unit)}"
+
+
+def _state(axis: Axis) -> str:
+    if not axis.controllable:
+        return "D"
+    return "B" if axis.busy else "R"
+
+
+def _named(unit: Unit, letter: str) -> list[Axis]:
+    """Addressed axes, invalid ones too (decision 32)."""
+    if letter in ("", "W"):
+        return unit.controllable
+    if letter not in GROUPS:
+        raise Refused
+    return [unit.axes[index] for index in GROUPS[letter]]
+
+
+def positioning(unit: Unit, text: str) -> str:
+    """!: and !:aS (L329-L400)."""
+    if not text:
+        return _busy_letter(unit)
+    if text[-1] != "S":
+        raise Refused
+    return ",".join(_state(axis) for axis in _named(unit, text[:-1]))
+
+
+def status(unit: Unit, text: str) -> str:
+    """SRQ: and SRQ:aS (L593-L729)."""
+    if not text:
+        return _summary(unit)
+    if text[-1] != "S":
+        raise Refused
+    axes = _named(unit, text[:-1])
+    at_ns = unit.time.now_ns()
+    return ",".join([*(f"{word(unit, axis, at_ns):X}" for axis in axes), *(_state(axis) for axis in axes)])
+
+
+def coordinates(unit: Unit, text: str) -> str:
+    """Q: and Q:Suc (L402-L591)."""
+    at_ns = unit.time.now_ns()
+    if not text:
+        fields = [unit.coordinate(axis, at_ns) if axis.controllable else 0 for axis in unit.axes]
+        return ",".join([*(f"{'-' if c < 0 else '+'}{abs(c):9d}" for c in fields), _summary(unit)])
+    match = _DETAILED.fullmatch(text)
+    if match is None:
+        raise Refused
+    letter, counter = match.groups()
+    values = [_in_unit(unit, axis, letter or axis.stage_unit, counter == "E", at_ns) for axis in unit.axes]
+    words = [f"{word(unit, axis, at_ns):X}" for axis in unit.axes]
+    return ",".join([*values, *words, *(_state(axis) for axis in unit.axes)])
+
+
+def _in_unit(unit: Unit, axis: Axis, letter: str, scale: bool, at_ns: int) -> str:
+    """Unit letter, sign and value of a coordinate (decision 15); 0 for an invalid axis (L511)."""
+    if not axis.controllable:
+        return "0"
+    value = unit.scale_coordinate(axis, at_ns) if scale else unit.coordinate(axis, at_ns)
+    if letter == "P" and scale:
+        number = Fraction(value) * axis.nm_per_pulse / unit.options.scale_resolution_nm
+    else:
+        number = value * size(axis, letter)
+    decimals = unit.options.fixed_decimals if letter != "P" else None
+    text = decimal(number, decimals)
+    return f"{letter}{'+' if number > 0 else ''}{text}"
