@@ -17,7 +17,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Go, Proposal, Propose, Reply, StepRef
-from orchestrator.model.state import AxisEvidence, ClockMapping, Interval
+from orchestrator.model.state import AxisEvidence, ClockMapping, EventKind, Interval
 
 QUIET_NS = 20 * NS_PER_MS  # nothing polls a member this long before T0
 
@@ -48,7 +48,7 @@ class Emit(Protocol):
     """Puts an event about the step on the bus."""
 
     def __call__(
-        self, kind: str, text: str, ticket: Ticket, evidence: Mapping[str, AxisEvidence] | None = None
+        self, kind: EventKind, text: str, ticket: Ticket, evidence: Mapping[str, AxisEvidence] | None = None
     ) -> None: ...
 
 
@@ -164,6 +164,9 @@ class Member:
                 raise CannotDo("moving", "the step moves already", "stop it")
             self._interruptions += 1
             self.ticket = None
+            if ticket.phase is Phase.RELEASED:
+                # T0 may be this very moment: what can not be unloaded any more must not run either.
+                await self._driver.stop(False)
             await self._driver.disarm()
             self._emit("disarmed", "disarmed on request", ticket)
             return Reply()
@@ -262,8 +265,11 @@ class Member:
         for axis, span in outcome.ended.items():
             if axis in evidence:
                 evidence[axis] = AxisEvidence(start=evidence[axis].start, end=_interval(span, ticket.scale))
-        kind = {"done": "done", "stopped": "stopped", "fault": "failed"}[outcome.state]
+        kind = _KIND_OF_END[outcome.state]
         self._emit(kind, outcome.reason or kind, moving, evidence)
+
+
+_KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
 
 
 def _interval(span: Span, scale: FleetScale) -> Interval:

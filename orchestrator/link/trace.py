@@ -26,6 +26,10 @@ class TraceRing:
     def entries(self) -> list[Entry]:
         return list(self._entries)
 
+    def tail_text(self, count: int = 200) -> list[str]:
+        """The last `count` entries as readable lines, for a log."""
+        return [f"{at_ns} {direction} {data!r}" for at_ns, direction, data in list(self._entries)[-count:]]
+
 
 class TracedLink:
     """A link whose bytes go into a ring as they pass."""
