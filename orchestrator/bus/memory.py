@@ -124,8 +124,13 @@ class MemoryNet:
         self.at(self.clock.now_ns() + self._reconnect_ns, find)
 
     def kill(self, name: str) -> None:
-        """The process is dead: nothing goes out or in any more. Others know within milliseconds."""
-        bus = self._buses.pop(name)
+        """The process is dead: nothing goes out or in any more. Others know within milliseconds.
+
+        This, `hang` and `resume` do nothing where the process has left the bus before.
+        """
+        bus = self._buses.pop(name, None)
+        if bus is None:
+            return
         bus.alive = False
         self.drop_declarations(bus)
 
@@ -137,7 +142,9 @@ class MemoryNet:
 
     def hang(self, name: str) -> None:
         """The process stands still: what it gets or puts waits, requests to it time out, presence lasts a lease."""
-        bus = self._buses[name]
+        bus = self._buses.get(name)
+        if bus is None:
+            return
         bus.hung = True
         bus.hangs += 1
         hang = bus.hangs
@@ -152,7 +159,9 @@ class MemoryNet:
 
     def resume(self, name: str) -> None:
         """The process runs on: what waited goes on its way. If it was given up, it is back a little later."""
-        bus = self._buses[name]
+        bus = self._buses.get(name)
+        if bus is None:
+            return
         bus.hung = False
         bus.outgoing.release()
         bus.incoming.release()

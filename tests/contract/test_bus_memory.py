@@ -235,6 +235,18 @@ def test_a_death_is_known_within_milliseconds_and_the_name_is_free_again() -> No
     run_virtual(main)
 
 
+def test_who_has_left_cannot_be_hurt() -> None:
+    async def main(clock: VirtualClock) -> None:
+        net = MemoryNet(clock)
+        await net.join("a").close()
+        net.hang("a")
+        net.resume("a")
+        net.kill("a")
+        await net.join("a").close()
+
+    run_virtual(main)
+
+
 async def _never(_: Sample) -> bytes:
     await asyncio.Event().wait()
     return b""
