@@ -1,0 +1,194 @@
+"""An adapter host: the units of one machine, and what they all hear (the reign, the e-stop)."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from adapters.contract import Firer, Make, Setup
+from adapters.store import Store
+from adapters.unit import Unit
+from orchestrator.bus.base import Bus, Declared, NoReply, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log, Sink
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.fleet import Exchange, FleetScale, estimated_scale, exact_scale
+from orchestrator.link.base import Link, OpenLink
+from orchestrator.link.trace import TracedLink, TraceRing
+from orchestrator.model.fleet import Controller, Fleet
+from orchestrator.model.messages import Estop, Reign, TimeReply
+from orchestrator.model.state import EstopLatch
+
+# A coordinator that is silent for so long is lost: five of its heartbeats. Then what is armed is unloaded, and
+# what moves is stopped by its own ramp.
+COORDINATOR_LOST_NS = 500 * NS_PER_MS
+TIME_EXCHANGES = 8
+
+
+def find_make(name: str) -> Make:
+    """The make that the entry points of `tutti.adapters` give for `name`; `ValueError` lists the known ones."""
+    known = entry_points(group="tutti.adapters")
+    for entry in known:
+        if entry.name == name:
+            return cast(Make, entry.load())
+    raise ValueError(f"no adapter {name!r}; known adapters: {', '.join(sorted(each.name for each in known))}")
+
+
+def check_controller(name: str, config: Controller) -> None:
+    """Check a controller's part of the fleet file with its make. `ValueError` names controller, field and remedy."""
+    try:
+        make = find_make(config.adapter)
+        make.options.model_validate(config.options)
+        make.check(config)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"]))
+        raise ValueError(f"controllers.{name}.options.{field}: {first['msg']}") from None
+    except ValueError as error:
+        raise ValueError(f"controllers.{name}: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a host is given: everything that differs between live and virtual."""
+
+    bus: Bus
+    keys: Keys
+    clock: Clock
+    firer: Firer
+    open_link: Callable[[str, Controller], OpenLink]
+    store: Callable[[str], Store]
+    sink: Sink
+    instance: str
+
+
+class AdapterHost:
+    """Runs the controllers of `fleet` whose `host` is `name`."""
+
+    def __init__(self, name: str, fleet: Fleet, around: Surroundings) -> None:
+        self._name = name
+        self._around = around
+        self._log = Log("host", name, around.clock, around.sink, around.bus, around.keys)
+        self._scale: FleetScale | None = None
+        self._reign: Reign | None = None
+        self._heard_ns: int | None = None
+        self._declared: list[Declared] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+        mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
+        self.units = [self._unit(controller, config) for controller, config in mine.items()]
+
+    def _unit(self, controller: str, config: Controller) -> Unit:
+        around, ring = self._around, TraceRing()
+        make = find_make(config.adapter)
+        open_plain = around.open_link(controller, config)
+
+        async def open_link() -> Link:
+            return TracedLink(await open_plain(), ring)
+
+        options = make.options.model_validate(config.options)
+        driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer))
+        log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
+        log.fleet_ns = self._fleet_ns
+        return Unit(
+            controller,
+            config,
+            make,
+            driver,
+            around.bus,
+            around.keys,
+            around.clock,
+            around.store(controller),
+            ring,
+            log,
+            around.instance,
+            lambda: self._scale,
+        )
+
+    def _fleet_ns(self) -> int | None:
+        return None if self._scale is None else self._scale.fleet_ns(self._around.clock.now_ns())
+
+    async def start(self) -> None:
+        """Listen, be present, and start all units."""
+        bus, keys = self._around.bus, self._around.keys
+        self._declared = [
+            await bus.subscribe(keys.estop, self._hear_estop),
+            await bus.subscribe(keys.reign, self._hear_reign),
+            await bus.announce(keys.live("host", self._name, self._around.instance)),
+        ]
+        for unit in self.units:
+            await unit.start()
+        self._spawn(self._watch_reign())
+
+    async def close(self) -> None:
+        for unit in self.units:
+            await unit.close()
+        for declared in self._declared:
+            await declared.undeclare()
+        for task in list(self._tasks):
+            task.cancel()
+
+    # The e-stop
+
+    def _hear_estop(self, sample: Sample) -> None:
+        """Anything on that key is an e-stop, a payload that nobody understands too."""
+        try:
+            heard = Estop.model_validate_json(sample.payload)
+        except ValidationError:
+            heard = Estop(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
+        latch = EstopLatch(event=heard.event, actor=heard.actor, reason=heard.reason, utc=self._around.clock.utc())
+        for unit in self.units:
+            self._spawn(unit.estop(latch))
+
+    # The reign
+
+    def _hear_reign(self, sample: Sample) -> None:
+        try:
+            reign = Reign.model_validate_json(sample.payload)
+        except ValidationError as error:
+            self._log.warning(f"a reign that can not be read: {error.errors()[0]['msg']}")
+            return
+        known = self._reign
+        if known is not None and reign.epoch < known.epoch:
+            return
+        self._reign, self._heard_ns = reign, self._around.clock.now_ns()
+        if self._scale is not None and self._scale.scale_id == reign.scale_id:
+            return
+        self._scale = exact_scale(reign, self._around.clock)
+        if self._scale is None:
+            self._spawn(self._estimate_scale(reign))
+
+    async def _estimate_scale(self, reign: Reign) -> None:
+        """Fleet time of a coordinator on another kernel."""
+        exchanges: list[Exchange] = []
+        clock = self._around.clock
+        while len(exchanges) < TIME_EXCHANGES:
+            sent_ns = clock.now_ns()
+            try:
+                reply = await self._around.bus.request(self._around.keys.time, b"", timeout_s=1.0)
+            except (NoReply, RequestTimeout, RequestRefused):
+                await sleep_ns(clock, 100 * NS_PER_MS)
+                continue
+            answer = TimeReply.model_validate_json(reply)
+            if answer.scale_id != reign.scale_id:
+                return
+            exchanges.append(Exchange(sent_ns, clock.now_ns(), answer.fleet_ns))
+        self._scale = estimated_scale(reign.scale_id, exchanges)
+
+    async def _watch_reign(self) -> None:
+        clock = self._around.clock
+        while True:
+            await sleep_ns(clock, COORDINATOR_LOST_NS // 5)
+            heard_ns = self._heard_ns
+            if heard_ns is not None and clock.now_ns() - heard_ns > COORDINATOR_LOST_NS:
+                self._heard_ns = None
+                silent_ms = (clock.now_ns() - heard_ns) // NS_PER_MS
+                for unit in self.units:
+                    self._spawn(unit.coordinator_lost(f"the coordinator has been silent for {silent_ms} ms"))
+
+    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
