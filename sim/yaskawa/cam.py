@@ -1,0 +1,54 @@
+"""Electronic cam: slaves follow a table over the master's cycle (L4378-L5111, L13640-L13826)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+POINTS = 1025
+
+
+@dataclass(slots=True)
+class Cam:
+    """Master, table and cycles. Positions in counts."""
+
+    master: str | None = None
+    enabled: bool = False
+    index: int = 0
+    interval: int = 256
+    start: int = 0
+    cycles: dict[str, int] = field(default_factory=dict[str, int])
+    table: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
+    waiting: dict[str, tuple[str, int]] = field(default_factory=dict[str, tuple[str, int]])
+    """For each slave that waits: what for (`EG` or `EQ`), and the master position."""
+    followers: set[str] = field(default_factory=set[str])
+
+    @property
+    def cycle(self) -> int:
+        """The master's cycle; 0 when none is defined."""
+        return self.cycles.get(self.master or "", 0)
+
+    def store(self, slave: str, index: int, value: int) -> None:
+        self.table.setdefault(slave, [0] * POINTS)[index] = value
+
+    def value(self, slave: str, master: float) -> float:
+        """The slave's position for an unmodularised master position, cycles added up (D58: linear between points)."""
+        table = self.table.get(slave) or [0] * POINTS
+        turns, rest = divmod(master - self.start, self.cycle) if self.cycle else (0.0, max(master - self.start, 0.0))
+        index = min(int(rest // self.interval), POINTS - 2)
+        share = (rest - index * self.interval) / self.interval
+        low, high = table[index], table[index + 1]
+        return turns * self.cycles.get(slave, 0) + low + (high - low) * share
+
+
+@dataclass(frozen=True, slots=True)
+class CamPath:
+    """An engaged slave."""
+
+    cam: Cam
+    slave: str
+    master: Callable[[float], float]
+
+    def position(self, at: float) -> float:
+        return self.cam.value(self.slave, self.master(at))
+
+    def velocity(self, at: float) -> float:
+        return self.position(at) - self.position(at - 1)

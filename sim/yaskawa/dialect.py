@@ -1,0 +1,32 @@
+"""The complete command table of the family: importing this module enters every command and operand."""
+
+from sim.yaskawa import (
+    commands_contour,
+    commands_data,
+    commands_flow,
+    commands_gear,
+    commands_motion,
+    commands_parameters,
+    commands_sequence,
+    commands_status,
+    commands_system,
+    commands_trip,
+    operands,
+)
+from sim.yaskawa.registry import COMMANDS
+
+MODULES = (
+    commands_contour,
+    commands_data,
+    commands_flow,
+    commands_gear,
+    commands_motion,
+    commands_parameters,
+    commands_sequence,
+    commands_status,
+    commands_system,
+    commands_trip,
+    operands,
+)
+
+__all__ = ["COMMANDS", "MODULES"]

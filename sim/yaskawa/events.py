@@ -1,0 +1,60 @@
+"""What starts the automatic routines: limits, errors, inputs, lost connections (L14325-L14369, L15443-L15613)."""
+
+from typing import TYPE_CHECKING
+
+from sim.yaskawa import fixed
+
+if TYPE_CHECKING:
+    from sim.yaskawa.machine import Machine
+
+
+class Events:
+    """Watches for the conditions of #LIMSWI, #POSERR and #ININT; all of them need thread 0 to run."""
+
+    def __init__(self, machine: "Machine") -> None:
+        self.machine = machine
+        self.limit_met = False
+
+    def met_limit(self) -> None:
+        """A moving axis has met a limit."""
+        self.limit_met = True
+
+    def poll(self) -> None:
+        """Between two lines, and in every event: start a routine whose condition holds."""
+        machine = self.machine
+        if not machine.interpreter.threads[0].running:
+            return
+        now = machine.now()
+        labels = machine.program.labels
+        if "LIMSWI" in labels and self.limit_met:
+            if self._limit_stands(now):
+                machine.interpreter.raise_event("LIMSWI")
+            elif machine.interpreter.raise_event("LIMSWI"):
+                self.limit_met = False
+        if "POSERR" in labels and self._error_stands(now):
+            machine.interpreter.raise_event("POSERR")
+        if machine.interpreter.interrupts_on and "ININT" in labels:
+            self.inputs_changed(0, True)
+
+    def _limit_stands(self, now: int) -> bool:
+        motion = self.machine.motion
+        return any(motion.limit_active(axis, side, now) for axis in motion.real for side in (True, False))
+
+    def _error_stands(self, now: int) -> bool:
+        return any(self.excessive(axis.name, now) for axis in self.machine.motion.real if axis.frozen is not None)
+
+    def excessive(self, name: str, now: int) -> bool:
+        """Whether the position error of a servo is beyond ER (L4962)."""
+        axis = self.machine.motion.axes[name]
+        limit = fixed.truncated(axis.registers["ER"])
+        return bool(limit) and not axis.virtual and not axis.motor_off and abs(axis.error(now)) > limit
+
+    def inputs_changed(self, number: int, level: bool) -> None:
+        """An input that is enabled by II has come to its active level (L5952)."""
+        interpreter = self.machine.interpreter
+        if not interpreter.interrupts_on or not number:
+            return
+        bit = 1 << (number - 1)
+        if interpreter.interrupts & bit and level == bool(interpreter.active_high & bit):
+            if interpreter.raise_event("ININT"):
+                interpreter.interrupts_on = False

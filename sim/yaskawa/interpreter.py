@@ -1,0 +1,260 @@
+"""The one interpreter that threads and ports share, line by line (L1626, L14633, D27)."""
+
+from collections.abc import Callable
+from math import inf
+from typing import TYPE_CHECKING
+
+from sim.yaskawa.context import Context
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.statements import Statement, compile_line
+from sim.yaskawa.threads import THREADS, Thread
+from sim.yaskawa.trippoints import Trip, at_sample
+
+if TYPE_CHECKING:
+    from sim.yaskawa.machine import Machine
+    from sim.yaskawa.ports import Port
+
+_LOOPS_PER_SAMPLE = 4
+"""How often an instant interpreter lets a thread jump backward in one sample, so that a busy loop costs little."""
+
+NO_BREAK = -2147483648
+
+
+class Interpreter:
+    """Takes turns: one command of a port, one line of a thread. Each command takes `decode` device time."""
+
+    def __init__(self, machine: "Machine", delay_ns: Callable[[], int]) -> None:
+        self.machine = machine
+        self.delay_ns = delay_ns
+        self.threads = [Thread(number) for number in range(THREADS)]
+        self.contexts = [Context(machine, thread) for thread in self.threads]
+        self.busy = False
+        self.trace = False
+        self.break_at: tuple[int, int] | None = None
+        self.break_hit = False
+        self.break_thread = 0
+        self.error_line = 0
+        self.error_thread = 0
+        self.error_index = 0
+        self.interrupts = 0
+        self.active_high = 0
+        self.interrupts_on = False
+        self._current: Thread | None = None
+        self._turn = 0
+        self._epoch = 0
+
+    def reset(self) -> None:
+        """Power-up: nothing runs."""
+        for thread in self.threads:
+            thread.halt()
+        self._epoch += 1
+        self.busy = self.trace = self.break_hit = self.interrupts_on = False
+        self.break_at = None
+        self.interrupts = self.active_high = 0
+        self._current = None
+
+    def any_running(self) -> bool:
+        return any(thread.running for thread in self.threads)
+
+    def halt_all(self) -> None:
+        for thread in self.threads:
+            thread.halt()
+
+    def due(self, now: int) -> float:
+        """The next sample at which a waiting thread or port has to be looked at."""
+        due = inf
+        for thread in self.threads:
+            if thread.trip is not None:
+                due = min(due, thread.trip.due(self.machine, now))
+        for port in self.machine.ports.all():
+            if port.trip is not None:
+                due = min(due, port.trip.due(self.machine, now))
+        return due
+
+    def release(self, now: int) -> None:
+        """Let go what has waited for something that has happened."""
+        for thread in self.threads:
+            if thread.trip is not None and thread.trip.passed(self.machine, now):
+                thread.trip, thread.resting = None, False
+        for port in self.machine.ports.all():
+            if port.trip is not None and port.trip.passed(self.machine, now):
+                port.trip = None
+                port.accept(None)
+
+    def pump(self) -> None:
+        """Run whatever is ready; come back by the clock when commands take time."""
+        while not self.busy:
+            port, thread = self._choose()
+            if port is None and thread is None:
+                return
+            delay_ns = self.delay_ns()
+            if not delay_ns:
+                self._perform(port, thread)
+                continue
+            self.busy = True
+            epoch = self._epoch
+
+            def done(port: "Port | None" = port, thread: Thread | None = thread) -> None:
+                if epoch != self._epoch:
+                    return
+                self.busy = False
+                self.machine.settle()
+                self._perform(port, thread)
+                self.machine.go_on()
+
+            timebase = self.machine.timebase
+            timebase.clock.call_at_ns(timebase.after_ns(delay_ns), done)
+
+    def _choose(self) -> "tuple[Port | None, Thread | None]":
+        current = self._current
+        if current is not None and current.ready and current.index:
+            return None, current
+        self._current = None
+        places = len(self.threads) + 1
+        for step in range(places):
+            place = (self._turn + step) % places
+            if place == 0:
+                for port in self.machine.ports.all():
+                    if port.queue and port.trip is None:
+                        self._turn = 1
+                        return port, None
+            elif self.threads[place - 1].ready:
+                self._turn = (place + 1) % places
+                return None, self.threads[place - 1]
+        return None, None
+
+    def _perform(self, port: "Port | None", thread: Thread | None) -> None:
+        if port is not None:
+            port.run_next()
+        elif thread is not None and thread.ready:
+            self._step(thread)
+
+    # Threads
+
+    def line(self, number: int) -> tuple[Statement, ...]:
+        """The compiled statements of a program line."""
+        lines = self.machine.program.lines
+        return compile_line(lines[number], self.machine.model) if number < len(lines) else ()
+
+    def _step(self, thread: Thread) -> None:
+        lines = self.machine.program.lines
+        if thread.line >= len(lines):
+            thread.halt()
+            return
+        if thread.index == 0:
+            if self._breaks(thread):
+                return
+            if self.trace:
+                self.machine.ports.message(f"{thread.line:03d} {lines[thread.line]}\r\n")
+            self.machine.events.poll()
+        statements = self.line(thread.line)
+        self._current = thread
+        while thread.index < len(statements) and statements[thread.index].quiet:
+            thread.index += 1
+        if thread.index >= len(statements):
+            self._next_line(thread)
+            return
+        statement = statements[thread.index]
+        place = (thread.line, thread.index)
+        thread.index += 1
+        try:
+            outcome = statement.execute(self.contexts[thread.number])
+        except CommandError as error:
+            self._failed(thread, place, error.code)
+            return
+        if isinstance(outcome, Trip):
+            self.hold(thread, outcome)
+        if thread.running and (thread.line == place[0]) and thread.index >= len(self.line(thread.line)):
+            self._next_line(thread)
+
+    def hold(self, thread: Thread, trip: Trip) -> None:
+        """`thread` waits, unless the condition is fulfilled already."""
+        if not trip.passed(self.machine, self.machine.now()):
+            thread.trip = trip
+
+    def _next_line(self, thread: Thread) -> None:
+        thread.line += 1
+        thread.index = 0
+        thread.passed_break = False
+        if thread.steps:
+            thread.steps -= 1
+            if not thread.steps:
+                thread.paused = True
+                self.break_hit, self.break_at = True, (thread.line, thread.number)
+
+    def jump(self, thread: Thread, line: int) -> None:
+        """Go on at `line`; an instant interpreter makes a thread that loops without waiting rest a while."""
+        backward = line <= thread.line
+        thread.line, thread.index, thread.passed_break = line, 0, False
+        if backward:
+            self.tire(thread)
+
+    def tire(self, thread: Thread) -> None:
+        """Count a loop of `thread` in this sample."""
+        now = self.machine.now()
+        if thread.spin_sample != now:
+            thread.spin_sample, thread.spins = now, 0
+        thread.spins += 1
+        if thread.spins > _LOOPS_PER_SAMPLE and thread.trip is None and not self.machine.timing.decode_ns:
+            thread.trip, thread.resting = at_sample(now + 1), True
+
+    def _breaks(self, thread: Thread) -> bool:
+        if self.break_at == (thread.line, thread.number) and not self.break_hit and not thread.passed_break:
+            self.break_hit = True
+            self.break_thread = thread.number
+            thread.paused = thread.passed_break = True
+            return True
+        return False
+
+    def _failed(self, thread: Thread, place: tuple[int, int], code: int) -> None:
+        machine = self.machine
+        machine.error_code = code
+        self.error_line, self.error_thread, self.error_index = place[0], thread.number, place[1]
+        main = self.threads[0]
+        handler = machine.program.labels.get("CMDERR")
+        if handler is not None and main.running:
+            if thread is not main:
+                thread.halt()
+            try:
+                main.call(handler, event="CMDERR")
+                self.tire(main)
+                return
+            except CommandError as overflow:
+                machine.error_code = overflow.code
+                thread = main
+        thread.halt()
+        machine.ports.message(f"?{place[0]:03d} {machine.program.lines[place[0]]}\r\n")
+
+    def raise_event(self, name: str) -> bool:
+        """Jump thread 0 to an automatic routine; False when there is none, or it cannot run (L15487)."""
+        main = self.threads[0]
+        label = self.machine.program.labels.get(name)
+        if label is None or not main.running or any(frame.event == name for frame in main.stack):
+            return False
+        try:
+            main.call(label, event=name)
+        except CommandError as error:
+            self.machine.error_code = error.code
+            return False
+        self.tire(main)
+        return True
+
+    def skip_block(self, thread: Thread, *, to_else: bool) -> None:
+        """Go on behind the ELSE or ENDIF of the block that `thread` is in (L15338)."""
+        depth = 0
+        line, index = thread.line, thread.index
+        while line < len(self.machine.program.lines):
+            for number, statement in enumerate(self.line(line)):
+                if number < index:
+                    continue
+                if statement.op == "IF":
+                    depth += 1
+                elif statement.op == "ENDIF" or (statement.op == "ELSE" and to_else and depth == 0):
+                    if depth == 0:
+                        thread.line, thread.index = line, number + 1
+                        if thread.index >= len(self.line(line)):
+                            thread.line, thread.index = line + 1, 0
+                        return
+                    depth -= 1
+            line, index = line + 1, 0
+        raise CommandError(63)

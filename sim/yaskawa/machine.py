@@ -1,0 +1,318 @@
+"""One controller of the family, whatever its model: state, time, reset, and the order of what happens in an event."""
+
+import random
+from collections.abc import Callable
+from math import inf
+
+from orchestrator.clock.base import Clock, Timer
+from sim.core.controller import Timing
+from sim.core.oscillator import Oscillator
+from sim.yaskawa import fixed
+from sim.yaskawa.arguments import LETTERS
+from sim.yaskawa.axis import Axis
+from sim.yaskawa.data import Data
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.events import Events
+from sim.yaskawa.formats import Format, Layout
+from sim.yaskawa.interpreter import Interpreter
+from sim.yaskawa.io import Points
+from sim.yaskawa.memory import Memory
+from sim.yaskawa.model import Model
+from sim.yaskawa.motion import MotionControl
+from sim.yaskawa.options import Options
+from sim.yaskawa.parameters import PARAMETERS
+from sim.yaskawa.ports import Port, Ports
+from sim.yaskawa.program import Program
+from sim.yaskawa.recorder import Recorder
+from sim.yaskawa.timebase import TIME_WRAP, Timebase
+from sim.yaskawa.world import World
+
+_AXIS_NUMBERS = {0: "X", 1: "Y", 2: "Z", 3: "W", 8: "S", 9: "T", 10: "N"}
+_MARKED, _PLAIN = 1, 2
+
+
+class Machine:
+    """Everything inside the box. Commands act on it; it drives itself by the clock."""
+
+    def __init__(
+        self, clock: Clock, model: Model, options: Options, oscillator: Oscillator, timing: Timing, seed: int
+    ) -> None:
+        self.model = model
+        self.options = options
+        self.timing = timing
+        self.timebase = Timebase(clock, oscillator)
+        self.world = World(
+            home_edge={name: edge for name, edge in options.home_edge.items()},
+            index_every={name: every for name, every in options.index_every.items()},
+            travel=dict(options.travel),
+        )
+        self.question_crlf = options.question_crlf
+        self.strict_packets = options.strict_packets
+        self.powered = True
+        self._random = random.Random(seed)
+        self.letters = LETTERS[: options.axes]
+        self.io = Points(self.world)
+        self.memory = Memory(self)
+        self.ports = Ports(self)
+        self.ports.first_handle = options.handle or ""
+        self.motion = self._new_motion()
+        self.interpreter = Interpreter(self, self._delay_ns)
+        self.events = Events(self)
+        self._timer: Timer | None = None
+        self._timer_sample: float = inf
+        self._clear()
+        self.memory.restore()
+
+    def _new_motion(self) -> MotionControl:
+        return MotionControl(self.timebase, self.world, self.letters, lambda: self.events.met_limit())
+
+    def _delay_ns(self) -> int:
+        spread_ns = self.timing.spread_ns
+        return self.timing.decode_ns + (self._random.randrange(spread_ns + 1) if spread_ns else 0)
+
+    def _clear(self) -> None:
+        """Volatile state, and parameters at their defaults."""
+        self.data = Data()
+        self.program = Program()
+        self.recorder = Recorder(self)
+        self.layout = Layout(False, self.options.sign_column)
+        self.position_format = Format(10, 0)
+        self.variable_format = Format(10, 4)
+        self.error_code = 0
+        self.echo = self.options.echo
+        self.unsolicited_port = "S"
+        self.unsolicited_mode = _PLAIN
+        self.polarity = [-1, -1, -1, 0]
+        self.modbus_wait = True
+        self.address = self.options.address
+        self.retry_time = 250
+        self.system_letter = "S"
+        self.designators: dict[str, str] = {}
+        self.locked = 0
+        self.serial_values: dict[str, int] = {"P1CD": fixed.whole(-1), "P1CH": 0, "P1NM": 0, "P1ST": 0}
+        self._input_length = 0
+        self.responses: dict[str, list[int]] = {}
+        self.response_state: dict[str, int] = {}
+        for axis in self.motion.axes.values():
+            axis.registers = {name: parameter.default for name, parameter in PARAMETERS.items()}
+            axis.registers.update(self.model.defaults)
+            axis.registers.update({"PR": 0, "PA": 0})
+
+    # Time
+
+    def now(self) -> int:
+        """The sample that runs."""
+        return self.timebase.sample()
+
+    def time_counter(self) -> int:
+        """`TIME` (D21: wraps to 0)."""
+        return self.timebase.sample() % TIME_WRAP
+
+    def settle(self) -> None:
+        """Bring motion, recording and trippoints up to the present sample."""
+        if not self.powered:
+            return
+        now = self.now()
+        if self.recorder.due <= now:
+            self.recorder.run(now)
+        self.motion.settle(now)
+        self.interpreter.release(now)
+
+    def go_on(self) -> None:
+        """Run what is ready, then arrange to be called at the next sample where something happens."""
+        if not self.powered:
+            return
+        self.interpreter.release(self.now())
+        self.events.poll()
+        self.interpreter.pump()
+        now = self.now()
+        due = min(self.motion.due(), self.interpreter.due(now), self.recorder.due)
+        if due == self._timer_sample:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._timer_sample = due
+        if due != inf:
+            self._timer = self.timebase.clock.call_at_ns(self.timebase.true_ns(int(max(due, now))), self._wake)
+
+    def _wake(self) -> None:
+        self._timer = None
+        self._timer_sample = inf
+        self.settle()
+        self.go_on()
+
+    def rescheduled(self) -> None:
+        """The samples have changed their length: the timer stands at the wrong instant."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer, self._timer_sample = None, inf
+
+    # Reset and power
+
+    def reset(self) -> None:
+        """`RS` and power-up: the burned state (L9643)."""
+        now = self.now()
+        self.motion.freeze(now, 7)
+        for axis in self.motion.all_axes():
+            self.motion.note_end(axis, now)
+        kept, physical = self.motion.motions, {axis.name: axis.physical(now) for axis in self.motion.real}
+        self.interpreter.reset()
+        self.rescheduled()
+        self.timebase.reset()
+        self.motion = self._new_motion()
+        self.motion.motions = kept
+        for axis in self.motion.real:
+            axis.physical_zero = -physical[axis.name]
+        self._clear()
+        self.memory.restore()
+
+    def master_reset(self, port: Port) -> None:
+        """Ctrl-R ctrl-S: factory state, nothing burned (L9663)."""
+        self.memory.erase()
+        self.reset()
+        port.queue.clear()
+        port.emit(":")
+
+    def set_power(self, on: bool) -> None:
+        """Off: everything stops dead and connections drop. On: power-up."""
+        if on == self.powered:
+            return
+        if not on:
+            self.settle()
+            self.ports.drop_all()
+            self.motion.freeze(self.now(), 7)
+            for axis in self.motion.all_axes():
+                self.motion.note_end(axis, self.now())
+            self.interpreter.reset()
+            self.rescheduled()
+            self.io.set_all(0)
+            self.powered = False
+        else:
+            self.powered = True
+            self.reset()
+            self.go_on()
+
+    # The world
+
+    def abort(self, code: int, *, halt: bool) -> None:
+        """`AB` and the abort input: everything freezes, amplifiers with OE go off (L2191)."""
+        at = self.timebase.next_sample()
+        moved = [axis for axis in self.motion.real if axis.moving]
+        self.motion.freeze(at, code)
+        for axis in self.motion.real:
+            if axis.registers["OE"]:
+                self.motion.motor_off(axis, at)
+        if self.motion.contour is not None:
+            self.motion.leave_contour(at, code)
+        for axis in moved:
+            axis.stop_code = code
+        if halt:
+            self.interpreter.halt_all()
+
+    def set_abort_input(self, active: bool) -> None:
+        """The abort input: as `AB`, and nothing begins while it is active (D36)."""
+        self.settle()
+        self.motion.abort_input = active
+        if active:
+            self.abort(6, halt=True)
+        self.go_on()
+
+    def set_input(self, number: int, level: bool) -> None:
+        """A local input changes: latches, interrupts, selective abort."""
+        if not 1 <= number <= len(self.world.inputs):
+            raise ValueError(f"input {number}: this controller has inputs 1 to {len(self.world.inputs)}")
+        self.settle()
+        if self.world.inputs[number - 1] != level:
+            self.world.inputs[number - 1] = level
+            if self.powered:
+                self._input_changed(number, level)
+        self.go_on()
+
+    def _input_changed(self, number: int, level: bool) -> None:
+        now = self.now()
+        if number <= len(self.letters) and level == (self.polarity[2] > 0):
+            axis = self.motion.real[number - 1]
+            if axis.latch_armed:
+                self.motion.latch(axis, now)
+        if number > 4 and self.polarity[3] and not level and number - 5 < len(self.letters):
+            self.motion.freeze(now, 11, (self.motion.real[number - 5],))
+        self.events.inputs_changed(number, level)
+
+    def limits_changed(self) -> None:
+        """Limit switches have been pressed or let go: what moves into one stops."""
+        if self.powered:
+            self.motion.look_at_limits(self.timebase.next_sample())
+
+    # Names and replies
+
+    def axis(self, name: str) -> Axis:
+        """The axis that a designator stands for; 4 when there is none."""
+        if name.startswith("~"):
+            name = self.designators.get(name, "")
+        axis = self.motion.axes.get(name)
+        if axis is None:
+            raise CommandError(28 if name in ("S", "T") else 4)
+        return axis
+
+    def name_axis(self, designator: str, letter: str) -> None:
+        """`~a="X"`."""
+        if letter not in _AXIS_NUMBERS.values():
+            raise CommandError(4)
+        self.designators[designator] = letter
+
+    def number_axis(self, designator: str, number: int) -> None:
+        """`~a=2`."""
+        if number not in _AXIS_NUMBERS:
+            raise CommandError(6)
+        self.designators[designator] = _AXIS_NUMBERS[number]
+
+    def show_value(self, raw: int) -> str:
+        """A number in the variable format."""
+        return self.variable_format.write(raw, self.layout)
+
+    def show_counts(self, counts: int) -> str:
+        """A position in the position format."""
+        return self.position_format.write(counts * fixed.ONE, self.layout)
+
+    def show_whole(self, number: int, digits: int) -> str:
+        """An integer in a format of its own, e.g. `TI` in 3.0."""
+        return Format(digits, 0).write(number * fixed.ONE, self.layout)
+
+    @property
+    def mark_unsolicited(self) -> bool:
+        return self.unsolicited_mode == _MARKED
+
+    def locks(self, op: str, lock: str) -> bool:
+        """Whether `LC` forbids a command (L6735)."""
+        return bool(self.locked) and (str(self.locked) in lock or (self.locked == 2 and op != "LC"))
+
+    # Serial input of programs
+
+    def serial_arrived(self, text: str) -> None:
+        """Remember the last character for `P1CH` (L12105)."""
+        self.serial_values["P1CH"] = fixed.whole(ord(text[-1]) if text else 0)
+        self.serial_values["P1CD"] = fixed.whole(1)
+
+    def take_input(self, port: Port, line: str) -> bool:
+        """Whether `line` answers an IN (L6101)."""
+        main = self.interpreter.threads[0]
+        if port.kind != "serial" or not main.input_for:
+            return False
+        name, main.input_for = main.input_for, ""
+        text = line.split(";")[0]
+        if text:
+            try:
+                self.data.assign(name, self._input_value(text))
+            except (ValueError, CommandError):
+                self.error_code = 83
+        return True
+
+    def _input_value(self, text: str) -> int:
+        try:
+            return fixed.literal(text.removeprefix("-")) * (-1 if text.startswith("-") else 1)
+        except ValueError:
+            return fixed.of_string(text[: fixed.STRING_LENGTH])
+
+
+Builder = Callable[[Clock], Machine]

@@ -1,0 +1,109 @@
+"""Non-volatile memory: what BN, BP, BV, LC and PW keep (L3239-L3325, L6735, L8441)."""
+
+import copy
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sim.yaskawa.machine import Machine
+
+BURNED = frozenset(
+    "AC BL CE DC DV EM ER FA FL GR IL IT KD KI KP KS MT NB NF NZ OE OF SP TL TW".split()  # noqa: SIM905
+)
+_SCALARS = (
+    "layout position_format variable_format echo unsolicited_port unsolicited_mode address retry_time".split()  # noqa: SIM905
+)
+
+
+class Memory:
+    """The EEPROM of one controller."""
+
+    def __init__(self, machine: "Machine") -> None:
+        self.machine = machine
+        self.password = ""
+        self.erase()
+
+    def erase(self) -> None:
+        """Master reset: nothing is burned."""
+        self.password = ""
+        self._lock = 0
+        self._registers: dict[str, dict[str, int]] = {}
+        self._scalars: dict[str, object] = {}
+        self._systems: dict[str, tuple[float, float, float, float]] = {}
+        self._motors: dict[str, bool] = {}
+        self._gears: dict[str, tuple[str, bool]] = {}
+        self._polarity: list[int] | None = None
+        self._outputs = 0
+        self._trace = False
+        self._period = 1000
+        self._program: list[str] = []
+        self._cam: object = None
+        self._variables: dict[str, int] = {}
+        self._arrays: dict[str, list[int]] = {}
+
+    def burn_parameters(self) -> None:
+        """`BN`."""
+        machine = self.machine
+        for axis in machine.motion.all_axes():
+            self._registers[axis.name] = {name: axis.registers[name] for name in BURNED if name in axis.registers}
+            self._motors[axis.name] = axis.motor_off
+            self._gears[axis.name] = (axis.gear.source, axis.gear.gantry)
+        self._scalars = {name: getattr(machine, name) for name in _SCALARS}
+        for name, system in machine.motion.systems.items():
+            self._systems[name] = (system.speed, system.acceleration, system.deceleration, system.smoothing)
+        self._polarity = list(machine.polarity)
+        self._outputs = machine.io.outputs
+        self._trace = machine.interpreter.trace
+        self._period = machine.timebase.period_us
+        self._lock = machine.locked
+
+    def burn_lock(self) -> None:
+        """`LC` burns itself (L6741)."""
+        self.burn_parameters()
+
+    def burn_program(self) -> None:
+        """`BP`: program and cam."""
+        self._program = list(self.machine.program.lines)
+        self._cam = copy.deepcopy(self.machine.motion.cam)
+
+    def burn_variables(self) -> None:
+        """`BV`."""
+        self._variables = dict(self.machine.data.variables)
+        self._arrays = {name: list(array) for name, array in self.machine.data.arrays.items()}
+
+    def restore(self) -> None:
+        """Power-up and `RS`: the burned state; `#AUTO` runs when it is burned (L15443)."""
+        machine = self.machine
+        for axis in machine.motion.all_axes():
+            axis.registers.update(self._registers.get(axis.name, {}))
+            if not axis.virtual and not self._motors.get(axis.name, True):
+                machine.motion.motor_on(axis, machine.now())
+            source, axis.gear.gantry = self._gears.get(axis.name, ("", False))
+            if source:
+                from sim.yaskawa.commands_gear import select_master
+
+                select_master(machine, axis, source)
+                axis.gear.set_ratio(axis.registers["GR"] / 65536, machine.now())
+        for name, value in self._scalars.items():
+            setattr(machine, name, value)
+        for name, (speed, up, down, smoothing) in self._systems.items():
+            system = machine.motion.systems[name]
+            system.speed, system.acceleration, system.deceleration, system.smoothing = speed, up, down, smoothing
+        if self._polarity is not None:
+            machine.polarity = list(self._polarity)
+        machine.motion.homing.polarity = machine.polarity[1]
+        machine.io.set_all(self._outputs)
+        machine.interpreter.trace = self._trace
+        if self._period != 1000:
+            machine.timebase.set_period(self._period)
+        machine.locked = self._lock
+        if self._program:
+            machine.program.insert(0, list(self._program))
+        from sim.yaskawa.cam import Cam
+
+        if isinstance(self._cam, Cam):
+            machine.motion.cam = copy.deepcopy(self._cam)
+        machine.data.variables = dict(self._variables)
+        machine.data.arrays = {name: list(array) for name, array in self._arrays.items()}
+        auto = machine.program.labels.get("AUTO")
+        if auto is not None:
+            machine.interpreter.threads[0].start(auto, 0, machine.now())

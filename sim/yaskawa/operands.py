@@ -1,0 +1,324 @@
+"""Operands `_XX`: reading parameters and status in expressions (L11937-L12206, L15800)."""
+
+from collections.abc import Callable
+
+from sim.yaskawa import commands_status as status
+from sim.yaskawa import fixed
+from sim.yaskawa.arguments import LETTERS, canonical
+from sim.yaskawa.axis import Axis
+from sim.yaskawa.commands_contour import full
+from sim.yaskawa.commands_flow import breakpoint_value
+from sim.yaskawa.commands_gear import waiting
+from sim.yaskawa.commands_sequence import OPERAND_READERS, system_of
+from sim.yaskawa.commands_system import HANDLES, UNUSED
+from sim.yaskawa.context import Context
+from sim.yaskawa.data import ARRAYS, VARIABLES
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.expressions import Evaluator
+from sim.yaskawa.parameters import PARAMETERS
+from sim.yaskawa.program import LABELS
+from sim.yaskawa.registry import OPERANDS, operand
+from sim.yaskawa.sequence import System
+
+_SPEED_TO_REGISTER = 1024
+
+
+def compile_operand(text: str) -> Evaluator:
+    """The function that reads `_XX…`; 58 when there is no such operand."""
+    entry = OPERANDS.get(text[1:3])
+    if entry is None:
+        raise CommandError(58)
+    return entry(text[3:])
+
+
+def _axis_name(suffix: str) -> str:
+    """The axis an operand is about; X when none is given."""
+    if not suffix:
+        return "X"
+    name = suffix if suffix.startswith("~") else canonical(suffix)
+    if not name.startswith("~") and name not in LETTERS + "N":
+        raise CommandError(58)
+    return name
+
+
+def _of_axis(op: str, read: Callable[[Context, Axis], int], *, raw: bool = False) -> None:
+    def compile_axis(suffix: str) -> Evaluator:
+        name = _axis_name(suffix)
+        factor = 1 if raw else fixed.ONE
+        return lambda c: read(c, c.machine.axis(name)) * factor
+
+    operand(op)(compile_axis)
+
+
+def _register(op: str) -> None:
+    def read(c: Context, axis: Axis) -> int:
+        return axis.registers[op]
+
+    _of_axis(op, read, raw=True)
+
+
+for _op in PARAMETERS:
+    if _op not in ("PA", "JG", "PR"):
+        _register(_op)
+_register("PR")
+
+
+def _absolute_position(c: Context, axis: Axis) -> int:
+    """`_PA`: start position while moving, commanded position else (D46)."""
+    return axis.move_start if axis.moving else axis.reported(axis.reference(c.machine.now()))
+
+
+def _begun(c: Context, axis: Axis) -> int:
+    return int(axis.moving)
+
+
+_of_axis("PA", _absolute_position)
+_of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True)
+_of_axis("BG", _begun)
+_of_axis("MO", lambda c, axis: int(axis.motor_off))
+_of_axis("SC", lambda c, axis: axis.stop_code)
+_of_axis("TS", status.switches)
+_of_axis("AL", lambda c, axis: int(axis.latch_armed))
+_of_axis("TP", status.encoder)
+_of_axis("DP", status.encoder)
+_of_axis("IP", status.reference)
+_of_axis("RP", status.reference)
+_of_axis("SH", status.reference)
+_of_axis("TE", status.error)
+_of_axis("TD", status.auxiliary)
+_of_axis("DE", lambda c, axis: axis.auxiliary)
+_of_axis("QP", status.unmodularised)
+_of_axis("QA", status.auxiliary)
+_of_axis("RL", status.latched)
+_of_axis("RU", status.latched)
+_of_axis("TV", status.velocity)
+_of_axis("TT", status.volts, raw=True)
+_of_axis("TY", lambda c, axis: -2147483648)
+_of_axis("GM", lambda c, axis: int(axis.gear.gantry))
+_of_axis("EG", lambda c, axis: int(axis.mode == "cam"))
+_of_axis("EQ", lambda c, axis: waiting(c, axis.name))
+_of_axis("LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.now())))
+_of_axis("LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.now())))
+_of_axis("HM", lambda c, axis: int(status.home_inactive(c, axis)))
+
+
+def _of_system(op: str, read: Callable[[Context, System], float]) -> None:
+    def compile_system(suffix: str) -> Evaluator:
+        if suffix not in ("", "S", "T"):
+            raise CommandError(58)
+        return lambda c: fixed.of(read(c, system_of(c, suffix)))
+
+    operand(op)(compile_system)
+
+
+def _of_system_register(op: str, read: Callable[[System], float]) -> None:
+    _of_system(op, lambda c, system: read(system))
+
+
+for _op, _read in OPERAND_READERS.items():
+    _of_system_register(_op, _read)
+_of_system("AV", lambda c, system: system.travelled(c.machine.now()))
+_of_system("CS", lambda c, system: _segment(c, system))
+_of_system("LM", lambda c, system: system.free(c.machine.now()))
+_of_system("LE", lambda c, system: system.length)
+_of_system("VE", lambda c, system: system.length)
+_of_system("VM", lambda c, system: system.velocity(c.machine.now()) * _SPEED_TO_REGISTER if system.running else 0.0)
+_of_system("TN", lambda c, system: _first_tangent(system))
+
+
+def _segment(c: Context, system: System) -> int:
+    contour = c.machine.motion.contour
+    if contour is not None and not system.running:
+        return contour.count
+    return system.index(c.machine.now())
+
+
+def _first_tangent(system: System) -> float:
+    """Position of the tangent axis at the first point (L10790)."""
+    if not system.segments:
+        return 0.0
+    return system.tangent_zero + system.tangent_scale * system.segments[0].heading(0.0)
+
+
+@operand("VP")
+def _vector_position(suffix: str) -> Evaluator:
+    name = _axis_name(suffix)
+
+    def read(c: Context) -> int:
+        axis = c.machine.axis(name).name
+        for system in c.machine.motion.systems.values():
+            if axis in system.axes:
+                index = system.axes.index(axis)
+                return fixed.of(system.intersection(c.machine.now())[index])
+        return 0
+
+    return read
+
+
+def _of_machine(op: str, read: Callable[[Context], int], suffixes: tuple[str, ...] = ("",)) -> None:
+    def compile_plain(suffix: str) -> Evaluator:
+        if suffix not in suffixes:
+            raise CommandError(58)
+        return lambda c: fixed.whole(read(c))
+
+    operand(op)(compile_plain)
+
+
+_of_machine("AB", lambda c: int(not c.machine.motion.abort_input))
+_of_machine("AE", lambda c: 0, ("", "X", "Y", "Z", "W"))
+_of_machine("BK", breakpoint_value)
+_of_machine("BN", lambda c: c.machine.options.serial_number)
+_of_machine("BV", lambda c: 0)
+_of_machine("CA", lambda c: int(c.machine.system_letter == "T"))
+_of_machine("CF", lambda c: ord(c.machine.unsolicited_port))
+_of_machine("CM", full)
+_of_machine("CW", lambda c: c.machine.unsolicited_mode)
+_of_machine("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
+_of_machine("DL", lambda c: LABELS - len(c.machine.program.labels))
+_of_machine("DM", lambda c: c.machine.data.free_elements())
+_of_machine("DT", lambda c: c.machine.motion.contour_interval)
+_of_machine("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
+_of_machine("EB", lambda c: int(c.machine.motion.cam.enabled))
+_of_machine("EC", lambda c: c.machine.motion.cam.index)
+_of_machine("EP", lambda c: c.machine.motion.cam.interval)
+_of_machine("EO", lambda c: int(c.machine.echo))
+_of_machine("ES", lambda c: system_of(c).ellipse_terms[0])
+_of_machine("HW", lambda c: _own_handle(c))
+_of_machine("WH", lambda c: _own_handle(c))
+_of_machine("II", lambda c: c.machine.interpreter.interrupts)
+_of_machine("LC", lambda c: c.machine.locked)
+_of_machine("LS", lambda c: _line_count(c))
+_of_machine("LZ", lambda c: int(c.machine.layout.strip_zeros))
+_of_machine("MW", lambda c: int(c.machine.modbus_wait))
+_of_machine("OP", lambda c: c.machine.io.outputs, ("", "0", "X"))
+_of_machine("RC", lambda c: int(c.machine.recorder.running))
+_of_machine("RD", lambda c: c.machine.recorder.index)
+_of_machine("TB", status.general)
+_of_machine("TC", lambda c: c.machine.error_code, ("", "0", "1"))
+_of_machine("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
+_of_machine("TM", lambda c: c.machine.timebase.period_us)
+_of_machine("TR", lambda c: int(c.machine.interpreter.trace))
+_of_machine("UL", lambda c: VARIABLES - len(c.machine.data.variables))
+
+
+def _line_count(c: Context) -> int:
+    """`_LS`: minus the number of lines while no program runs (L7108)."""
+    count = len(c.machine.program.lines)
+    return count if c.machine.interpreter.any_running() else -count
+
+
+def _own_handle(c: Context) -> int:
+    return -1 if c.port is None or c.port.name == "S" else HANDLES.index(c.port.name)
+
+
+@operand("PF")
+def _position_format(suffix: str) -> Evaluator:
+    return lambda c: c.machine.position_format.value
+
+
+@operand("VF")
+def _variable_format(suffix: str) -> Evaluator:
+    return lambda c: c.machine.variable_format.value
+
+
+@operand("CN")
+def _polarity(suffix: str) -> Evaluator:
+    if suffix not in ("", "0", "1", "2", "3"):
+        raise CommandError(58)
+    index = int(suffix or "0")
+    return lambda c: fixed.whole(c.machine.polarity[index])
+
+
+@operand("ED")
+def _error_place(suffix: str) -> Evaluator:
+    if suffix not in ("", "0", "1", "2", "3"):
+        raise CommandError(58)
+
+    def read(c: Context) -> int:
+        interpreter = c.machine.interpreter
+        place = (
+            interpreter.error_line,
+            interpreter.error_thread,
+            interpreter.error_index,
+            interpreter.error_index + 1,
+        )
+        return fixed.whole(place[int(suffix or "0")])
+
+    return read
+
+
+def _of_thread(op: str, read: Callable[[Context, int], int]) -> None:
+    def compile_thread(suffix: str) -> Evaluator:
+        if suffix and (len(suffix) > 1 or suffix not in "01234567"):
+            raise CommandError(58)
+
+        def run(c: Context) -> int:
+            own = c.thread.number if c.thread is not None else 0
+            return fixed.whole(read(c, int(suffix) if suffix else own))
+
+        return run
+
+    operand(op)(compile_thread)
+
+
+def _current_line(c: Context, number: int) -> int:
+    thread = c.machine.interpreter.threads[number]
+    return thread.line if thread.running else -1
+
+
+def _thread_state(c: Context, number: int) -> int:
+    thread = c.machine.interpreter.threads[number]
+    return 0 if not thread.running else 2 if thread.trip is not None and not thread.resting else 1
+
+
+_of_thread("XQ", _current_line)
+_of_thread("HX", _thread_state)
+_of_thread("ZS", lambda c, number: len(c.machine.interpreter.threads[number].stack))
+
+
+@operand("IA")
+def _address(suffix: str) -> Evaluator:
+    readers: dict[str, Callable[[Context], int]] = {
+        "0": lambda c: c.machine.address,
+        "1": lambda c: c.machine.retry_time,
+        "2": lambda c: len(c.machine.ports.free_handles()),
+        "3": _own_handle,
+        "4": lambda c: c.machine.ports.lost_handle,
+    }
+    reader = readers.get(suffix or "0")
+    if reader is None:
+        raise CommandError(58)
+    return lambda c: fixed.whole(reader(c))
+
+
+@operand("IH")
+def _handle(suffix: str) -> Evaluator:
+    if len(suffix) != 2 or suffix[0] not in HANDLES or suffix[1] not in "01234":
+        raise CommandError(58)
+    name, item = suffix[0], int(suffix[1])
+
+    def read(c: Context) -> int:
+        port = c.machine.ports.handles.get(name)
+        peer = c.machine.ports.outgoing.get(name)
+        if item == 4:
+            return fixed.whole(c.machine.response_state.get(name, 0))
+        if port is not None:
+            return fixed.whole((0, 0, 2 if port.kind == "tcp" else 1, 0)[item])
+        if peer is not None:
+            return fixed.whole((peer[0], peer[1], peer[2], 1)[item])
+        return fixed.whole((-1, 0, 0, 0)[item])
+
+    return read
+
+
+@operand("SA")
+def _response(suffix: str) -> Evaluator:
+    if not 1 <= len(suffix) <= 2 or suffix[0] not in HANDLES or (suffix[1:] and suffix[1] not in "01234567"):
+        raise CommandError(58)
+    name, item = suffix[0], int(suffix[1:] or "0")
+
+    def read(c: Context) -> int:
+        found = c.machine.responses.get(name, [])
+        return found[item] if item < len(found) else fixed.whole(UNUSED)
+
+    return read

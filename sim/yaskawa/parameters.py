@@ -1,0 +1,79 @@
+"""Parameters of axes: one table for setting, asking (`?`) and reading (`_XX`) them."""
+
+from dataclasses import dataclass
+
+from sim.yaskawa import fixed
+from sim.yaskawa.formats import Format
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of an axis, raw values of 1/65536.
+
+    quantum: step, values are cut to it toward zero. format: of the answer to `?`, None for PF. moving: may be set
+    while its axis moves. magnitude: a negative value counts as positive. virtual: axis N has it.
+    """
+
+    low: int
+    high: int
+    default: int
+    quantum: int = fixed.ONE
+    format: Format | None = None
+    moving: bool = True
+    magnitude: bool = False
+    virtual: bool = False
+
+    def accept(self, raw: int) -> int | None:
+        """The value that is kept, or None when it is out of range."""
+        if self.magnitude:
+            raw = abs(raw)
+        if not self.low <= raw <= self.high:
+            return None
+        return raw // self.quantum * self.quantum if raw >= 0 else -(-raw // self.quantum * self.quantum)
+
+
+def _p(low: float, high: float, default: float, step: float = 1.0, shape: str = "", **flags: bool) -> Parameter:
+    layout = None
+    if shape:
+        digits, decimals = shape.split(".")
+        layout = Format(int(digits), int(decimals))
+    return Parameter(fixed.of(low), fixed.of(high), fixed.of(default), max(fixed.of(step), 1), layout, **flags)
+
+
+_FINE = 1 / fixed.ONE
+_LARGEST, _LEAST = 2147483647, -2147483648
+
+PARAMETERS: dict[str, Parameter] = {
+    "AC": _p(1024, 67107840, 256000, 1024, "8.0", virtual=True),  # L2288
+    "DC": _p(1024, 67107840, 256000, 1024, "8.0", virtual=True),  # L4028
+    "SP": _p(0, 12000000, 25000, 2, magnitude=True, virtual=True),  # L10027
+    "JG": _p(-12000000, 12000000, 25000, 2, virtual=True),  # L6363
+    "PR": _p(_LEAST, _LARGEST, 0, moving=False, virtual=True),  # L8388
+    "PA": _p(_LEAST, _LARGEST, 0, moving=False, virtual=True),  # L8205
+    "IT": _p(0.004, 1, 1, 1 / 256, "1.4", virtual=True),  # L6316
+    "KS": _p(0.5, 16, 1.313, 1 / 32, "4.3"),  # L6655
+    "LT": _p(_LEAST, _LARGEST, 0),  # L7138
+    "TW": _p(-1, 32766, 32766),  # L11047
+    "EM": _p(_LEAST, _LARGEST, 0, virtual=True),  # L4694
+    "GR": _p(-127.9999, 127.9999, 0, _FINE, "3.4", virtual=True),  # L5535
+    "BL": _p(_LEAST, _LARGEST, _LEAST),  # L3180
+    "FL": _p(_LEAST, _LARGEST, _LARGEST),  # L5279
+    "CE": _p(0, 15, 0, shape="2.0", moving=False),  # L3490
+    "DV": _p(0, 1, 0, shape="1.0"),  # L4332
+    "ER": _p(0, 32767, 16384),  # L4957
+    "FA": _p(0, 8191, 0, 0.25, "4.0"),  # L5112
+    "FV": _p(0, 8192, 0, shape="4.0"),  # L5373
+    "IL": _p(-10, 10, 10, _FINE, "1.4"),  # L6049
+    "KD": _p(0, 4095.875, 10, 0.125, "4.2"),  # L6523
+    "KI": _p(0, 2047.875, 0, 0.125, "4.0"),  # L6569
+    "KP": _p(0, 1023.875, 1, 0.125, "4.2"),  # L6617
+    "MT": _p(-2.5, 2.5, 1, 0.5, "1.1", moving=False),  # L7678
+    "NB": _p(0, 250, 0.5, _FINE, "3.1"),  # L7832
+    "NF": _p(0, 250, 0, _FINE, "3.1"),  # L7871
+    "NZ": _p(0, 250, 0.5, _FINE, "3.1"),  # L7955
+    "OE": _p(0, 1, 0, shape="1.0"),  # L8024
+    "OF": _p(-9.9988, 9.9988, 0, _FINE, "1.4"),  # L8067
+    "PL": _p(0, 0.9999, 0, _FINE, "1.4"),  # L8335
+    "TK": _p(0, 9.9988, 0, _FINE, "1.4"),  # L10649
+    "TL": _p(0, 9.9988, 9.9988, _FINE, "1.4"),  # L10687
+}

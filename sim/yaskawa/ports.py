@@ -1,0 +1,319 @@
+"""Ports: bytes in, prompts out (L1624-L1705, L1719-L1822)."""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from sim.core.controller import PortRefused, Send
+from sim.yaskawa import fixed
+from sim.yaskawa.context import Context
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.statements import Raw, Statement, compile_line
+from sim.yaskawa.trippoints import Trip
+
+if TYPE_CHECKING:
+    from sim.yaskawa.machine import Machine
+
+LONGEST_LINE = 80
+LONGEST_PACKET = 470
+ENDS = "\x1a\x11\x04\\"
+"""What ends a download: ctrl-Z, ctrl-Q, ctrl-D, backslash (L4134)."""
+SILENCE_NS = 600_000_000_000
+
+Download = Callable[[str], None]
+"""Takes the whole text of a download when it ends; may raise `CommandError`."""
+
+
+class Port:
+    """One open connection: `S` is the serial port, `A` to `H` are Ethernet handles."""
+
+    def __init__(self, owner: "Ports", name: str, kind: str, send: Send, closed: Callable[[], None]) -> None:
+        self.owner = owner
+        self.machine = owner.machine
+        self.name = name
+        self.kind = kind
+        self.send = send
+        self.closed = closed
+        self.open = True
+        self.queue: deque[tuple[Statement, int]] = deque()
+        self.trip: Trip | None = None
+        self.download: Download | None = None
+        self.heard_ns = self.machine.timebase.clock.now_ns()
+        self.context = Context(self.machine, None, self)
+        self._line = ""
+        self._packets: deque[tuple[str, int]] = deque()
+        self._packet = 0
+        self._loading = ""
+        self._overlong = False
+        self._control = False
+
+    # Bytes in
+
+    def receive(self, data: bytes) -> None:
+        """Bytes have arrived, now (a packet on Ethernet)."""
+        if not self.open:
+            return
+        machine = self.machine
+        machine.settle()
+        self.heard_ns = machine.timebase.clock.now_ns()
+        text = data.decode("latin-1")
+        self._packet += 1
+        if self.kind != "serial" and len(data) > LONGEST_PACKET:
+            self.refuse(122)
+        else:
+            if self.kind == "serial":
+                machine.serial_arrived(text)
+                if machine.echo:
+                    self.emit(text.replace("\x12", "").replace("\r", "\r\n"))
+            self._packets.append((text, self._packet))
+            self.feed()
+        if machine.strict_packets and self.kind != "serial":
+            self._line = ""
+        machine.go_on()
+
+    def feed(self) -> None:
+        """Take apart what has arrived, as far as nothing has to be run first."""
+        while self._packets and not self._holds():
+            text, packet = self._packets.popleft()
+            if self.download is not None:
+                self._load(text, packet)
+            elif self._control or any(mark in text for mark in "\x12\\"):
+                self._take(text[0], packet)
+                if len(text) > 1 and self.open:
+                    self._packets.appendleft((text[1:], packet))
+            else:
+                head, found, rest = text.partition("\r")
+                self._append(head)
+                if rest:
+                    self._packets.appendleft((rest, packet))
+                if found:
+                    self._end_line(packet)
+
+    def _holds(self) -> bool:
+        """Whether a download that has been asked for decides what the next bytes are."""
+        return self.download is None and any(statement.op in ("DL", "QD", "RS") for statement, _ in self.queue)
+
+    def _take(self, character: str, packet: int) -> None:
+        if self._control:
+            self._control = False
+            if character == "\x13":
+                self.machine.master_reset(self)
+            elif character in "\x15\x16":
+                self.emit(f"{self.machine.model.revision}\r\n:")
+            return
+        if character == "\x12":
+            self._control = True
+        elif character == "\\":
+            self._line = ""
+            self._overlong = False
+        elif character == "\r":
+            self._end_line(packet)
+        else:
+            self._append(character)
+
+    def _append(self, text: str) -> None:
+        if "\n" in text:
+            text = text.replace("\n", "")
+        self._line += text
+        if len(self._line) > LONGEST_LINE:
+            self._overlong, self._line = True, self._line[:LONGEST_LINE]
+
+    def _end_line(self, packet: int) -> None:
+        line, self._line = self._line, ""
+        if self._overlong:
+            self._overlong = False
+            self.refuse(5)
+            return
+        if self.machine.take_input(self, line):
+            return
+        if self.kind == "serial":
+            self._packet += 1
+            packet = self._packet
+        for statement in compile_line(line, self.machine.model):
+            self.queue.append((statement, packet))
+        self.machine.interpreter.pump()
+
+    def _load(self, text: str, packet: int) -> None:
+        """Collect a download up to its end."""
+        ends = [place for mark in ENDS if (place := text.find(mark)) >= 0]
+        if not ends:
+            self._loading += text
+            return
+        end = min(ends)
+        loaded, self._loading = self._loading + text[:end], ""
+        download, self.download = self.download, None
+        if text[end + 1 :]:
+            self._packets.appendleft((text[end + 1 :], packet))
+        try:
+            if download is not None:
+                download(loaded)
+        except CommandError as error:
+            self.refuse(error.code)
+        else:
+            self.emit(":")
+
+    # Commands
+
+    def run_next(self) -> None:
+        """Run the next command, and answer it."""
+        if not self.queue:
+            return
+        statement, packet = self.queue.popleft()
+        try:
+            outcome = statement.execute(self.context)
+        except CommandError as error:
+            self._drop(packet)
+            self.refuse(error.code)
+        else:
+            if isinstance(outcome, Trip):
+                if outcome.passed(self.machine, self.machine.now()):
+                    self.accept(None)
+                else:
+                    self.trip = outcome
+            elif self.download is None and self.open:
+                if isinstance(outcome, Raw):
+                    self.emit(f"{outcome}:")
+                else:
+                    self.accept(outcome)
+        if self._packets:
+            self.feed()
+
+    def _drop(self, packet: int) -> None:
+        """What came in the packet (on the serial port: in the line) of a refused command is not looked at (D6)."""
+        self.queue = deque(item for item in self.queue if item[1] != packet)
+        if self.kind != "serial":
+            if any(number == packet for _, number in self._packets) or packet == self._packet:
+                self._line = ""
+            self._packets = deque(item for item in self._packets if item[1] != packet)
+
+    # Bytes out
+
+    def accept(self, data: str | None) -> None:
+        """Answer a valid command, with data or without."""
+        self.emit(":" if data is None else f"{data}\r\n:")
+
+    def refuse(self, code: int) -> None:
+        """Answer an invalid command."""
+        self.machine.error_code = code
+        self.emit("?\r\n" if self.machine.question_crlf else "?")
+
+    def emit(self, text: str) -> None:
+        if self.open and text:
+            self.send(text.encode("latin-1", "replace"))
+
+    # The end
+
+    def close(self) -> None:
+        """The other side has gone."""
+        if self.open:
+            self.open = False
+            self.owner.gone(self)
+
+    def hang_up(self) -> None:
+        """The controller ends the connection."""
+        if self.open:
+            self.open = False
+            self.owner.gone(self)
+            self.closed()
+
+
+class Ports:
+    """All connections of one controller."""
+
+    def __init__(self, machine: "Machine") -> None:
+        self.machine = machine
+        self.serial: Port | None = None
+        self.handles: dict[str, Port] = {}
+        self.first_handle = ""
+        self.outgoing: dict[str, tuple[int, int, int]] = {}
+        """Handles that this controller opens itself: peer address, peer port, `_IHh2`."""
+        self.lost_handle = -1
+        self._all: tuple[Port, ...] = ()
+
+    def all(self) -> Iterable[Port]:
+        """Every open connection."""
+        return self._all
+
+    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Port:
+        """Open a connection; `PortRefused` when there is no such port or it has no place left."""
+        if port not in self.machine.model.ports:
+            raise PortRefused(f"no port {port!r}; this model has {', '.join(self.machine.model.ports)}")
+        if not self.machine.powered:
+            raise PortRefused("the controller is switched off")
+        if port == "serial":
+            if self.serial is not None:
+                raise PortRefused("the serial port is in use")
+            self.serial = opened = Port(self, "S", port, send, closed)
+        else:
+            self._forget_silent()
+            name = self.first_handle or next(iter(self.free_handles()), "")
+            if not name:
+                raise PortRefused("no Ethernet handle is left (L1777)")
+            self.first_handle = ""
+            self.handles[name] = opened = Port(self, name, port, send, closed)
+        self._refresh()
+        return opened
+
+    def free_handles(self) -> list[str]:
+        """Letters of the handles that are free."""
+        return [name for name in self.machine.model.handles if name not in self.handles and name not in self.outgoing]
+
+    def gone(self, port: Port) -> None:
+        """Forget a connection; a lost TCP connection may call #TCPERR."""
+        if port is self.serial:
+            self.serial = None
+        elif self.handles.get(port.name) is port:
+            del self.handles[port.name]
+            if port.kind == "tcp" and self.machine.powered:
+                self.lost_handle = ord(port.name) - ord("A")
+                self.machine.interpreter.raise_event("TCPERR")
+        self._refresh()
+        if self.machine.powered:
+            self.machine.go_on()
+
+    def drop_all(self) -> None:
+        """Power is gone, or a hardware reset."""
+        for port in tuple(self._all):
+            port.hang_up()
+        self.outgoing.clear()
+
+    def swap(self, first: str, second: str) -> None:
+        """`HS` (L5635)."""
+        ports = {name: self.handles.pop(name, None) for name in (first, second)}
+        peers = {name: self.outgoing.pop(name, None) for name in (first, second)}
+        for name, other in ((first, second), (second, first)):
+            port, peer = ports[other], peers[other]
+            if port is not None:
+                port.name = name
+                self.handles[name] = port
+            if peer is not None:
+                self.outgoing[name] = peer
+        self._refresh()
+
+    def message(self, text: str) -> None:
+        """Unsolicited text, to the port that `CF` names (L3556); `CW 1` marks its characters (L3930)."""
+        self.tell(self.machine.unsolicited_port, text)
+
+    def tell(self, name: str, text: str) -> None:
+        """Text for one port; it is lost when the port is not open."""
+        port = self.serial if name == "S" else self.handles.get(name)
+        if port is not None:
+            if self.machine.mark_unsolicited:
+                text = "".join(chr(ord(character) | 0x80) for character in text)
+            port.emit(text)
+
+    def _forget_silent(self) -> None:
+        now_ns = self.machine.timebase.clock.now_ns()
+        for port in tuple(self.handles.values()):
+            if port.kind == "udp" and now_ns - port.heard_ns > SILENCE_NS:
+                port.hang_up()
+
+    def _refresh(self) -> None:
+        opened = [] if self.serial is None else [self.serial]
+        self._all = (*opened, *self.handles.values())
+
+
+def address_text(address: int) -> str:
+    """An IP address, kept as a signed 32-bit number, as `a,b,c,d`."""
+    bits = fixed.wrapped(address) & 0xFFFFFFFF
+    return ",".join(str(bits >> shift & 255) for shift in (24, 16, 8, 0))

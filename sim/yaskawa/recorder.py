@@ -1,0 +1,66 @@
+"""Recording of data into arrays at a fixed rate (`RA`, `RD`, `RC`; L9211-L9394)."""
+
+from math import inf
+from typing import TYPE_CHECKING
+
+from sim.yaskawa.context import Context
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.expressions import Evaluator
+
+if TYPE_CHECKING:
+    from sim.yaskawa.machine import Machine
+
+CHANNELS = 8
+
+
+class Recorder:
+    """Writes one element of each array every 2^n samples."""
+
+    def __init__(self, machine: "Machine") -> None:
+        self.machine = machine
+        self.arrays: list[str] = []
+        self.sources: list[Evaluator] = []
+        self.index = 0
+        self.running = False
+        self.due: float = inf
+        self._period = 0
+        self._length = 0
+        self._circular = False
+
+    def start(self, exponent: int, records: int | None, now: int) -> None:
+        """`RC n,m`; n 0 stops."""
+        if exponent == 0:
+            self.stop()
+            return
+        if self.running:
+            raise CommandError(80)
+        if not self.arrays or not self.sources:
+            raise CommandError(81)
+        sizes = [len(self.machine.data.array(name)) for name in self.arrays]
+        length = min(sizes) if not records else abs(records)
+        if length > min(sizes):
+            raise CommandError(84)
+        self._length, self._circular = length, records is not None and records < 0
+        if records == -1:
+            self._length = min(sizes)
+        self._period, self.index, self.running = 1 << exponent, 0, True
+        self.due = now
+
+    def stop(self) -> None:
+        self.running = False
+        self.due = inf
+
+    def run(self, now: int) -> None:
+        """Take the records that are due."""
+        context = Context(self.machine)
+        while self.due <= now:
+            for name, source in zip(self.arrays, self.sources, strict=False):
+                array = self.machine.data.arrays.get(name)
+                if array is not None and self.index < len(array):
+                    array[self.index] = source(context)
+            self.index += 1
+            self.due += self._period
+            if self.index >= self._length:
+                self.index = 0
+                if not self._circular:
+                    self.stop()

@@ -1,0 +1,63 @@
+"""Segments of linear and vector sequences: lines and arcs in the coordinates of the sequence (L6872, L11466, L3791)."""
+
+from dataclasses import dataclass
+from math import atan2, cos, degrees, hypot, radians, sin
+
+Point = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A piece of path. `length` in counts along the path; speeds in counts/s, None when not given.
+
+    `radius` 0 is a straight line from `start` to `end`; otherwise an arc from `angle` over `sweep` degrees.
+    """
+
+    start: Point
+    end: Point
+    length: float
+    entry_speed: float | None
+    exit_speed: float | None
+    radius: float = 0.0
+    angle: float = 0.0
+    sweep: float = 0.0
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def point(self, along: float) -> Point:
+        """Coordinates at `along` counts from the start."""
+        share = min(max(along / self.length, 0.0), 1.0)
+        if not self.radius:
+            return tuple(a + (b - a) * share for a, b in zip(self.start, self.end, strict=True))
+        first, now = radians(self.angle), radians(self.angle + self.sweep * share)
+        return (
+            self.start[0] + self.radius * (cos(now) - cos(first)) * self.scale[0],
+            self.start[1] + self.radius * (sin(now) - sin(first)) * self.scale[1],
+        )
+
+    def heading(self, along: float) -> float:
+        """Direction of travel in the plane, degrees."""
+        if not self.radius:
+            return degrees(atan2(self.end[1] - self.start[1], self.end[0] - self.start[0]))
+        turn = 90.0 if self.sweep > 0 else -90.0
+        return self.angle + self.sweep * min(max(along / self.length, 0.0), 1.0) + turn
+
+
+def line(start: Point, end: Point, scale: Point, entry: float | None, leave: float | None) -> Segment:
+    """A straight segment; its length is measured before `scale` stretches the axes."""
+    length = hypot(*((b - a) / s for a, b, s in zip(start, end, scale, strict=True)))
+    return Segment(start, end, length, entry, leave)
+
+
+def arc(
+    start: Point,
+    radius: float,
+    angle: float,
+    sweep: float,
+    scale: tuple[float, float],
+    entry: float | None,
+    leave: float | None,
+) -> Segment:
+    """A circular segment (an elliptic one when `scale` differs from 1); angles in degrees, positive is CCW."""
+    length = abs(radius * radians(sweep))
+    shape = Segment(start, start, length or 1.0, entry, leave, radius, angle, sweep, scale)
+    return Segment(start, shape.point(length), length, entry, leave, radius, angle, sweep, scale)

@@ -1,0 +1,205 @@
+"""Program lines and command lines, split into statements and compiled once by their text."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from sim.yaskawa import fixed
+from sim.yaskawa.arguments import canonical, split
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.expressions import compile_expression
+from sim.yaskawa.formats import Format
+from sim.yaskawa.trippoints import Trip
+
+if TYPE_CHECKING:
+    from sim.yaskawa.context import Context
+    from sim.yaskawa.model import Model
+
+Outcome = str | Trip | None
+"""What a command gives: text to answer, something to wait for, or nothing but the prompt."""
+Runner = Callable[["Context"], Outcome]
+
+_ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9]*)(\[[^=]*\])?=(?!=)(.*)")
+_LOCAL = re.compile(r"\{([FS$N^])([-0-9.]*)\}")
+
+
+class Raw(str):
+    """Data that is answered as it stands, without CR LF behind it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One op-code. compile: from its argument text. where: `both`, `program` or `line`; lock: see `LC` (L6735)."""
+
+    compile: Callable[[str], Runner]
+    where: str = "both"
+    lock: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One instruction, ready to run. `quiet` ones (labels, comments) take no time."""
+
+    op: str
+    text: str
+    runner: Runner
+    where: str = "both"
+    lock: str = ""
+    quiet: bool = False
+
+    def execute(self, c: "Context") -> Outcome:
+        """Run it; `CommandError` when it is refused."""
+        if self.where != "both" and (self.where == "program") != (c.thread is not None):
+            raise CommandError(2 if self.where == "program" else 3)
+        if c.thread is None and c.machine.locks(self.op, self.lock):
+            raise CommandError(130)
+        return self.runner(c)
+
+
+def without_blanks(text: str) -> str:
+    """Blanks removed, except inside quotes."""
+    if " " not in text:
+        return text
+    if '"' not in text:
+        return text.replace(" ", "")
+    return '"'.join(part if number % 2 else part.replace(" ", "") for number, part in enumerate(text.split('"')))
+
+
+def is_comment(text: str) -> bool:
+    """Whether a statement is a comment, which reaches to the end of its line (L7912)."""
+    return text.startswith(("'", "NO ")) or text == "NO"
+
+
+@lru_cache(maxsize=8192)
+def compile_line(line: str, model: "Model") -> tuple[Statement, ...]:
+    """The statements of a line. What is wrong in one of them shows when it is run."""
+    statements: list[Statement] = []
+    rest = line
+    while True:
+        stripped = rest.lstrip()
+        if is_comment(stripped):
+            statements.append(Statement("NO", stripped, _nothing, quiet=True))
+            break
+        text, found, rest = _cut(rest)
+        statements.append(compile_statement(text.strip(), model))
+        if not found:
+            break
+    return tuple(statements)
+
+
+def _cut(line: str) -> tuple[str, bool, str]:
+    head, *tail = split(line, ";") if '"' in line else line.split(";", 1)
+    return head, bool(tail), ";".join(tail)
+
+
+def _nothing(c: "Context") -> Outcome:
+    return None
+
+
+def compile_statement(text: str, model: "Model") -> Statement:
+    """One statement from its text; errors of syntax are raised when it runs."""
+    compact = without_blanks(text)
+    if not compact:
+        return Statement("", text, _nothing, quiet=True)
+    if compact.startswith("#"):
+        return Statement("#", text, _nothing, where="program", quiet=True)
+    for op in ("ELSE", "ENDIF"):
+        if compact == op:
+            command = model.commands[op]
+            return Statement(op, text, command.compile(""), command.where, command.lock)
+    op = compact[:2]
+    try:
+        if is_assignment(compact, model):
+            return Statement("=", text, _assignment(compact))
+        if compact.startswith("~"):
+            return Statement("~", text, _variable_axis(compact))
+        command = model.commands.get(op)
+        if command is None:
+            raise CommandError(1)
+        return Statement(op, text, command.compile(compact[2:]), command.where, command.lock)
+    except CommandError as error:
+        code = error.code
+    command = model.commands.get(op)
+
+    def refuse(c: "Context") -> Outcome:
+        raise CommandError(code)
+
+    return Statement(op, text, refuse, command.where if command else "both", command.lock if command else "")
+
+
+def is_assignment(compact: str, model: "Model") -> bool:
+    """Whether `compact` sets or shows a variable or array element rather than being a command (D8)."""
+    match = _ASSIGNMENT.fullmatch(compact)
+    if match is None:
+        return False
+    name, index = match[1], match[2]
+    if name == "ET" and index is not None:
+        return False
+    if len(name) == 3 and index is None and name[:2] in model.commands:
+        return canonical(name[2]) not in model.suffixes(name[:2])
+    return True
+
+
+def _assignment(compact: str) -> Runner:
+    match = _ASSIGNMENT.fullmatch(compact)
+    if match is None:
+        raise CommandError(9)
+    name, index_text, text = match[1], match[2], match[3]
+    source = compile_expression(name + (index_text or ""))
+    if text in ("", "?") or text.startswith("{"):
+        write = local_format(text) if text.startswith("{") else None
+
+        def show(c: "Context") -> Outcome:
+            raw = source(c)
+            return write(c, raw) if write is not None else c.machine.show_value(raw)
+
+        return show
+    value = compile_expression(text)
+    if index_text is None:
+
+        def assign(c: "Context") -> Outcome:
+            c.machine.data.assign(name, value(c))
+            return None
+
+        return assign
+    index = compile_expression(index_text[1:-1])
+
+    def store(c: "Context") -> Outcome:
+        c.machine.data.store(name, fixed.truncated(index(c)), value(c))
+        return None
+
+    return store
+
+
+def local_format(text: str) -> Callable[["Context", int], str]:
+    """`{Fm.n}`, `{$m.n}` and `{Sn}` (L16288)."""
+    match = _LOCAL.fullmatch(text)
+    if match is None or match[1] in "N^":
+        raise CommandError(53)
+    kind, size = match[1], match[2]
+    if kind == "S":
+        length = int(size) if size.isdigit() else fixed.STRING_LENGTH
+        if not 1 <= length <= fixed.STRING_LENGTH:
+            raise CommandError(53)
+        return lambda c, raw: fixed.to_string(raw, length)
+    try:
+        plain = Format.of(fixed.literal(size or "0"))
+    except ValueError:
+        raise CommandError(53) from None
+    layout = Format(plain.digits, plain.decimals, kind == "$")
+    return lambda c, raw: layout.write(raw, c.machine.layout)
+
+
+def _variable_axis(compact: str) -> Runner:
+    """`~a=n`: what the designator `~a` stands for (L7780)."""
+    if len(compact) < 4 or compact[2] != "=" or not compact[1].islower():
+        raise CommandError(4)
+    name = compact[:2]
+    text = compact[3:]
+    if text.startswith('"') and len(text) == 3:
+        letter = canonical(text[1])
+        return lambda c: c.machine.name_axis(name, letter)
+    value = compile_expression(text)
+    return lambda c: c.machine.number_axis(name, fixed.truncated(value(c)))

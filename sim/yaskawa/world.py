@@ -1,0 +1,25 @@
+"""The physical world around the controller: inputs, switches, edges and index pulses."""
+
+from dataclasses import dataclass, field
+
+from sim.core.controller import LimitSwitch
+
+
+@dataclass(slots=True)
+class World:
+    """What outside changes. Places are physical positions in counts: 0 at power-up, untouched by `DP`."""
+
+    inputs: list[bool] = field(default_factory=lambda: [True] * 8)
+    abort: bool = False
+    limits: dict[str, LimitSwitch] = field(default_factory=dict[str, LimitSwitch])
+    home: dict[str, bool] = field(default_factory=dict[str, bool])
+    home_edge: dict[str, int] = field(default_factory=dict[str, int])
+    index_every: dict[str, int] = field(default_factory=dict[str, int])
+    travel: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+
+    def home_level(self, axis: str, place: float) -> bool:
+        """The home input with the axis at a physical position; high when nothing is known."""
+        if axis in self.home:
+            return self.home[axis]
+        edge = self.home_edge.get(axis)
+        return True if edge is None else place >= edge
