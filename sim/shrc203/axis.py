@@ -82,6 +82,8 @@ class Axis:
     executed: bool = False
     """The execution buffer's value has been run; it stays readable (decision 20)."""
     pre: "Entry | None" = None
+    operation: "Entry | None" = None
+    """What is being executed from the buffers."""
     timer: "Timer | None" = None
     """Of a timed standby or a hand-over."""
     reply: "Reply | None" = None
@@ -95,6 +97,11 @@ class Axis:
     def nm_per_pulse(self) -> Fraction:
         """BASE RATE x 10 / DIVIDE (L807)."""
         return Fraction(self.base_rate * 10, self.divide)
+
+    def check_limits(self) -> None:
+        """Both limit sensors on at once are a limit error S5 (decision 28)."""
+        if self.limit_on(1, self.position) and self.limit_on(-1, self.position):
+            self.errors.add("S5")
 
     def limit_on(self, sign: int, position: float) -> bool:
         """Whether the limit switch at the `sign` end is on with the stage at `position`."""

@@ -55,7 +55,9 @@ class Chain:
 
     def deferred(self, axes: Sequence[Axis]) -> bool:
         """Whether an operation started from the double buffer is running: prebuffer replies are OK_D (L235)."""
-        return any(axis.busy and axis.execution is not None and axis.execution.from_pre for axis in axes)
+        return any(
+            axis.phase is Phase.AWAITING or (axis.operation is not None and axis.operation.from_pre) for axis in axes
+        )
 
     # Starting
 
@@ -100,34 +102,38 @@ class Chain:
                 return
         for member in entry.axes:
             self._migrate(member)
-            member.executed = True
+            member.executed, member.operation = True, entry
             member.reply = member.reply or axis.reply
         if isinstance(entry, WaitTime | WaitInput):
             self._stand_by(entry, at_ns)
             return
         if not all(member.excited for member in entry.axes):
             for member in entry.axes:
+                member.phase, member.operation = Phase.IDLE, None
                 self._discard(member)
             return
         launch(self._drive, entry, at_ns, lambda _, ready_ns, cause: self._completed(entry, ready_ns, cause))
 
     def _completed(self, entry: Entry, at_ns: int, cause: Cause) -> None:
         ended = cause is Cause.END
-        if not ended:
-            for axis in entry.axes:
+        for axis in entry.axes:
+            axis.operation = None
+            if not ended:
                 self._discard(axis)
         speaks = entry.from_pre and (
             ended or (self._options.completion_after_stop and cause in (Cause.STOPPED, Cause.LIMIT, Cause.SOFT_LIMIT))
         )
-        for axis in entry.axes:
-            self._hand_over(axis, speaks, ended)
+        going_on = [axis for axis in entry.axes if self._hand_over(axis, speaks, ended)]
         handover_ns = round(self._options.handover_ms * NS_PER_MS)
-        for axis in entry.axes:
-            if axis.phase is Phase.AWAITING:
-                self._start_later(axis, at_ns + handover_ns)
-        self._wake_waiting(at_ns)
+        for axis in going_on:
+            self._start_later(axis, at_ns + handover_ns)
+        if ended:
+            self._wake_waiting(at_ns)
+        else:
+            self._release_orphans()
 
-    def _hand_over(self, axis: Axis, speaks: bool, ended: bool) -> None:
+    def _hand_over(self, axis: Axis, speaks: bool, ended: bool) -> bool:
+        """Migrate, empty the prebuffer, send the character (L177); whether something is to start."""
         # After a stop nothing goes on by itself, even if the prebuffer survives (decision 17).
         going_on = ended and axis.pre is not None
         if going_on:
@@ -136,6 +142,7 @@ class Chain:
             axis.reply(axis.name)
         if going_on:
             axis.phase = Phase.AWAITING
+        return going_on
 
     def _start_later(self, axis: Axis, at_ns: int) -> None:
         def go() -> None:
@@ -152,6 +159,13 @@ class Chain:
         for axis in self._axes:
             if axis.phase is Phase.AWAITING and axis.timer is None:
                 self._try_start(axis, at_ns)
+
+    def _release_orphans(self) -> None:
+        """Axes that waited for an interpolation that is gone."""
+        for axis in self._axes:
+            if axis.phase is Phase.AWAITING and self._next(axis) is None:
+                self._end_waits(axis)
+                axis.phase = Phase.IDLE
 
     # Standby
 
@@ -176,9 +190,8 @@ class Chain:
             self._stand_by_over(axis, self._time.now_ns())
 
     def _stand_by_over(self, axis: Axis, at_ns: int) -> None:
-        axis.phase = Phase.IDLE
-        self._hand_over(axis, self._options.standby_completion, True)
-        if axis.phase is Phase.AWAITING:
+        axis.phase, axis.operation = Phase.IDLE, None
+        if self._hand_over(axis, self._options.standby_completion, True):
             self._try_start(axis, at_ns)
         self._wake_waiting(at_ns)
 
@@ -190,16 +203,16 @@ class Chain:
             self._drive.stop(axis.run)
         elif axis.busy:
             self._end_waits(axis)
-            axis.phase = Phase.IDLE
+            axis.phase, axis.operation = Phase.IDLE, None
             self._discard(axis)
-            self._wake_waiting(self._time.now_ns())
+            self._release_orphans()
 
     def abort(self, axis: Axis, cause: Cause) -> None:
         """Stop dead and forget everything on this axis, without a word (L:E, errors, power)."""
         self._end_waits(axis)
         if axis.run is not None:
             self._drive.halt(axis.run, cause)
-        axis.phase = Phase.IDLE
+        axis.phase, axis.operation = Phase.IDLE, None
         self._discard(axis)
 
     def clear(self, axis: Axis) -> None:
@@ -208,7 +221,8 @@ class Chain:
         if axis.run is not None:
             self._drive.drop(axis.run)
         axis.phase = Phase.IDLE
-        axis.execution, axis.executed, axis.pre, axis.reply = None, False, None, None
+        axis.execution, axis.executed, axis.pre = None, False, None
+        axis.operation, axis.reply = None, None
 
     def _end_waits(self, axis: Axis) -> None:
         self._inputs.forget(axis)

@@ -1,6 +1,7 @@
 """The simulated SHRC-203: its serial port, its firmware's pace, and the world around it."""
 
 import random
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,6 @@ from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.inputs import bit
 from sim.shrc203.line import CommandLine, LineReader
 from sim.shrc203.options import Options
-from sim.shrc203.settings import check_limit
 from sim.shrc203.unit import Unit
 
 _END = "\r\n"
@@ -72,13 +72,16 @@ class Shrc203Controller:
         self._time = DeviceTime(clock, oscillator)
         self.unit = Unit(self._time, options, scan_phase_ns)
         self._ports: list[Port] = []
-        self._queue: list[_Pending] = []
+        self._queue: deque[_Pending] = deque()
         self._busy_until_ns = 0
         self._said_until_ns = 0
         self._on = True
         self._boot: Timer | None = None
-        self._emissions: list[Timer] = []
-        self._decoding: list[Timer] = []
+        self._emissions: deque[Timer] = deque()
+        self._decoding: deque[Timer] = deque()
+        self._replying = False
+        self._after_reply: list[tuple[Port, str]] = []
+        """Lines caused by the command that is being executed: its own reply comes first."""
 
     # The wire
 
@@ -122,13 +125,18 @@ class Shrc203Controller:
         """Asynchronous lines have the same jitter as replies (decision 6), and keep their order."""
         delay_ns = self._delay_ns()
         if not delay_ns:
-            port.emit(text)
+            if self._replying:
+                self._after_reply.append((port, text))
+            else:
+                port.emit(text)
             return
-        at_ns = max(self._clock.now_ns() + delay_ns, self._said_until_ns)
-        self._said_until_ns = at_ns
-        if len(self._emissions) > 64:
-            del self._emissions[:32]
-        self._emissions.append(self._clock.call_at_ns(at_ns, lambda: port.emit(text)))
+        self._said_until_ns = max(self._clock.now_ns() + delay_ns, self._said_until_ns)
+
+        def say() -> None:
+            self._emissions.popleft()
+            port.emit(text)
+
+        self._emissions.append(self._clock.call_at_ns(self._said_until_ns, say))
 
     @property
     def _listening(self) -> bool:
@@ -139,12 +147,18 @@ class Shrc203Controller:
         return timing.decode_ns + (self._generator.randint(0, timing.spread_ns) if timing.spread_ns else 0)
 
     def _decoded(self) -> None:
-        self._decoding.pop(0)
-        pending = self._queue.pop(0)
+        self._decoding.popleft()
+        pending = self._queue.popleft()
         self._execute(pending.port, pending.line)
 
     def _execute(self, port: Port, line: CommandLine) -> None:
-        port.emit(answer(self.unit, line, port.later))
+        self._replying = True
+        text = answer(self.unit, line, port.later)
+        self._replying = False
+        port.emit(text)
+        for other, late in self._after_reply:
+            other.emit(late)
+        self._after_reply.clear()
         if self.unit.restart_due:
             self._restart()
 
@@ -196,7 +210,7 @@ class Shrc203Controller:
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         pressed = self._axis(axis)
         pressed.limits = which
-        check_limit(pressed)
+        pressed.check_limits()
         self._rearm(pressed)
 
     def set_stalled(self, axis: str, stalled: bool) -> None:

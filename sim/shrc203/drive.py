@@ -136,11 +136,14 @@ class Drive:
 
     def stop(self, run: Run) -> None:
         """Decelerate and end (L2955). Interpolations run at S, so they stop at once."""
-        if run.stopping or run.tracks[0].axis.phase is not Phase.MOVING:
+        if run.held:
+            self.give_up(run)
+        elif run.tracks[0].axis.phase is not Phase.MOVING:
             run.cause = Cause.STOPPED
-            return
-        run.stopping, run.end_cause = True, Cause.STOPPED
-        self._rebase(run, lambda x, v: decelerated(x, v, run.triple))
+        elif not run.stopping:
+            run.stopping, run.end_cause = True, Cause.STOPPED
+            ramp = run.kind is not Kind.INTERPOLATION
+            self._rebase(run, lambda x, v: decelerated(x, v if ramp else 0.0, run.triple))
 
     def change_speed(self, run: Run, speed: int) -> None:
         """Go on at constant `speed`, pls/s (JD:, L5138)."""
@@ -166,7 +169,7 @@ class Drive:
             self._settle(run, self._time.now_ns())
 
     def give_up(self, run: Run) -> None:
-        """BEC: ends waiting for a stage that does not get into position (L2448)."""
+        """Ends waiting for a stage that does not get into position (BEC:, L2448)."""
         if run.held:
             run.cause = Cause.STOPPED
             self._done(run, self._time.now_ns())

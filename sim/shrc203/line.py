@@ -41,10 +41,7 @@ class LineReader:
             self._keep(piece)
             line = bytes(self._pending)
             self._pending.clear()
-            if self.cr_only:
-                line = line.removeprefix(b"\n")
-            else:
-                line = line.removesuffix(b"\r")
+            line = line.removeprefix(b"\n") if self.cr_only else line.removesuffix(b"\r")
             if line:
                 clean = not any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in line)
                 found.append(CommandLine(line.decode("latin-1"), clean, len(line) <= self.limit))

@@ -57,7 +57,7 @@ def _set_travel(unit: Unit, text: str, absolute: bool, pre: bool) -> str:
     axes = unit.group(body[:1] or "?")
     if not pre:
         unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     groups = [match.groups() for match in split_repeated(_AMOUNT, body[1:], len(axes))]
     triples: list[Triple | None] = [None] * len(axes)
     if speeds is not None:
@@ -98,7 +98,7 @@ def set_absolute_pre(unit: Unit, text: str, reply: Reply) -> str:
 def _check_interpolation(unit: Unit, axes: Sequence[Axis], pre: bool) -> None:
     if not pre:
         unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     unit.need_no_limit(axes)
 
 
@@ -227,7 +227,7 @@ def set_jog(unit: Unit, text: str, reply: Reply) -> str:
     del reply
     axes = unit.group(text[:1] or "?")
     unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     signs = text[1:] or "+" * len(axes)
     if len(signs) != len(axes) or signs.strip("+-"):
         raise Refused
@@ -278,7 +278,7 @@ def start(unit: Unit, text: str, reply: Reply) -> str:
     """G and G:a (L4761-L4822)."""
     axes = unit.group(text)
     unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     if not unit.chain.start(axes, reply):
         raise Refused
     return "OK"
@@ -309,12 +309,17 @@ def stop(unit: Unit, text: str, reply: Reply) -> str:
     return "OK"
 
 
-def _on_arrival(reply: Reply | None) -> Ready:
-    """Announces the axis that has arrived, for the commands that promise it."""
+def _on_arrival(unit: Unit, reply: Reply | None) -> Ready:
+    """Announces the axis that has arrived, for the commands that promise it (decision 17 after a stop)."""
+    said = (
+        (Cause.END, Cause.STOPPED, Cause.LIMIT, Cause.SOFT_LIMIT)
+        if unit.options.completion_after_stop
+        else (Cause.END,)
+    )
 
     def ready(run: Run, ready_ns: int, cause: Cause) -> None:
         del ready_ns
-        if cause is not Cause.ERROR and reply is not None:
+        if cause in said and reply is not None:
             reply(run.tracks[0].axis.name)
 
     return ready
@@ -327,9 +332,9 @@ def return_to_origin(unit: Unit, text: str, reply: Reply, head: str) -> str:
         raise Refused
     axes = unit.group(text)
     unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     at_ns = unit.time.now_ns()
-    ready = _on_arrival(reply if head.startswith("HRT") else None)
+    ready = _on_arrival(unit, reply if head.startswith("HRT") else None)
     for axis in axes:
         find_origin(unit.drive, axis, at_ns, ready)
     return "OK"
@@ -339,9 +344,9 @@ def return_to_zero(unit: Unit, text: str, reply: Reply, head: str) -> str:
     """Z and ZRT (L2802-L2881)."""
     axes = unit.group(text)
     unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     at_ns = unit.time.now_ns()
-    ready = _on_arrival(reply if head == "ZRT" else None)
+    ready = _on_arrival(unit, reply if head == "ZRT" else None)
     for axis in axes:
         go_to_zero(unit.drive, axis, axis.triple, at_ns, ready)
     return "OK"
@@ -373,8 +378,8 @@ def go_to(unit: Unit, targets: Sequence[int], reply: Reply | None) -> None:
     """PIT:G and PAV:G: all controllable axes to these coordinates, pls, with the D: triple."""
     axes = unit.controllable
     unit.need_ready(axes)
-    unit.need_power(axes)
+    unit.need_sound(axes)
     at_ns = unit.time.now_ns()
     for axis in axes:
         distance = targets[axis.index] - axis.position - axis.offset
-        travel(unit.drive, axis, distance, axis.triple, Kind.MOVE, at_ns, _on_arrival(reply))
+        travel(unit.drive, axis, distance, axis.triple, Kind.MOVE, at_ns, _on_arrival(unit, reply))

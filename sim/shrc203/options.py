@@ -11,10 +11,8 @@ Config = Literal["off", "ok", "error", "missing"]
 Speed = Annotated[int, Field(ge=1, le=1_000_000)]
 RampMs = Annotated[int, Field(ge=1, le=1000)]
 
-DIVISIONS = frozenset(
-    (1, 2, 3, 4, 5, 6, 8, 10, 12, 20, 25, 30, 40, 50, 60, 80, 100, 120, 125, 200, 250, 300, 400, 600, 800)
-    + (1000, 2000, 4000, 8000)
-)
+_COARSE = (1, 2, 3, 4, 5, 6, 8, 10, 12, 20, 25, 30, 40, 50, 60, 80, 100, 120, 125, 200, 250, 300, 400, 600, 800)
+DIVISIONS = frozenset((*_COARSE, 1000, 2000, 4000, 8000))
 """Divisions that the motor drivers know (L2548-L2552)."""
 
 
@@ -24,7 +22,7 @@ class Options(BaseModel):
     The first group describes the unit and its stages; the second chooses between readings of the manual.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     controllable: list[AxisNumber] = [1, 2, 3]
     """Controllable axes: memory switch GENERAL-AXIS (L2206-L2222)."""
@@ -120,5 +118,4 @@ def read_options(options: Mapping[str, object]) -> Options:
     unknown = sorted(set(options) - set(Options.model_fields))
     if unknown:
         raise ValueError(f"unknown option {', '.join(unknown)}; allowed: {', '.join(sorted(Options.model_fields))}")
-    # JSON has lists only; strict validation of Python input would refuse them for tuples.
-    return Options.model_validate(dict(options), strict=False)
+    return Options.model_validate(dict(options))

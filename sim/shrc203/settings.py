@@ -5,8 +5,7 @@ from collections.abc import Callable, Sequence
 
 from sim.shrc203.axis import Axis
 from sim.shrc203.drive import Kind
-from sim.shrc203.grammar import MAX_RAMP_MS, NUMBER, TRIPLE, Refused, division, integer, pulses, speed
-from sim.shrc203.grammar import split_repeated
+from sim.shrc203.grammar import MAX_RAMP_MS, NUMBER, TRIPLE, Refused, division, integer, pulses, speed, split_repeated
 from sim.shrc203.origin import preset
 from sim.shrc203.path import Triple
 from sim.shrc203.trigger import PULSE, SCALE_MINUS, SCALE_PLUS, TIMER, Setting
@@ -107,8 +106,7 @@ def cancel_errors(unit: Unit, text: str) -> None:
     """BEC:a releases BUSY and clears limit error, overflow error and emergency stop (L2448)."""
     for axis in unit.group(text):
         axis.errors -= _CANCELLABLE
-        if axis.limit_on(1, axis.position) and axis.limit_on(-1, axis.position):
-            axis.errors.add("S5")
+        axis.check_limits()
         if axis.run is not None:
             unit.drive.give_up(axis.run)
 
@@ -235,9 +233,3 @@ def _read_trigger(unit: Unit, text: str) -> Setting | None:
         raise Refused
     mode = SCALE_PLUS if match[2] == "+" else SCALE_MINUS
     return Setting(mode, unit.group(match[1])[0], integer(match[3], 2, 30000))
-
-
-def check_limit(axis: Axis) -> None:
-    """Both limit sensors on at once are a limit error S5 (decision 28)."""
-    if axis.limit_on(1, axis.position) and axis.limit_on(-1, axis.position):
-        axis.errors.add("S5")

@@ -28,7 +28,7 @@ _ZERO_RETURN, _ORIGIN_RETURN = 0x20000, 0x40000
 _CW, _CCW, _SOFT_CW, _SOFT_CCW = 0x80000, 0x100000, 0x200000, 0x400000
 _NEAR, _ORG = 0x800000, 0x1000000
 
-_LIMIT_LETTERS = {
+_LIMIT_LETTERS: dict[tuple[int, ...], str] = {
     (): "K",
     (0,): "1",
     (1,): "2",
@@ -146,7 +146,10 @@ def _in_unit(unit: Unit, axis: Axis, letter: str, scale: bool, at_ns: int) -> st
     if not axis.controllable:
         return "0"
     value = unit.scale_coordinate(axis, at_ns) if scale else unit.coordinate(axis, at_ns)
-    if letter == "P" and scale:
+    if letter == "D" and axis.deg_per_pulse is None:
+        # A linear stage has no degrees; the other axes of the reply may.
+        number = Fraction(0)
+    elif letter == "P" and scale:
         number = Fraction(value) * axis.nm_per_pulse / unit.options.scale_resolution_nm
     else:
         number = value * size(axis, letter)

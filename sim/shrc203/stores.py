@@ -4,7 +4,6 @@ from sim.shrc203.grammar import Refused, integer
 from sim.shrc203.line import Reply
 from sim.shrc203.moves import go_to
 from sim.shrc203.program_lines import LINES, NONE, PROGRAMS, parse_line
-from sim.shrc203.program_run import State
 from sim.shrc203.registration import RECORDS
 from sim.shrc203.unit import Area, Unit
 
@@ -28,13 +27,12 @@ def program(unit: Unit, text: str, reply: Reply) -> str:
 def _run_program(unit: Unit, text: str, reply: Reply) -> None:
     run = unit.program
     if text in ("E", "U0", "U1"):
-        if not {"E": run.stop, "U0": run.pause, "U1": run.resume}[text]():
-            raise Refused
+        # The manual names no state in which these are refused (L5578-L5606).
+        {"E": run.stop, "U0": run.pause, "U1": run.resume}[text]()
         return
     if run.running:
         raise Refused
     unit.need_ready()
-    paused = run.state is State.PAUSED
     if text == "O":
         unit.start_reporting(reply)
         run.one_line()
@@ -42,20 +40,20 @@ def _run_program(unit: Unit, text: str, reply: Reply) -> None:
         run.report_end = text == "C1"
     elif text == "T0" or text == "T1":
         run.report_triggers = text == "T1"
-    elif paused:
-        # A paused program is not finished: it goes on, or is stopped first.
-        raise Refused
     elif text == "S":
         unit.start_reporting(reply)
         run.start()
     elif text == "H":
+        run.stop()
         unit.area = Area.HOST
     elif text == "ON":
+        run.stop()
         unit.programs.begin_edit()
         unit.area = Area.PROGRAM_EDIT
     elif text[:1] == "P":
-        unit.programs.selected = integer(text[1:], 1, PROGRAMS)
-        run.line = 1
+        number = integer(text[1:], 1, PROGRAMS)
+        run.stop()
+        unit.programs.selected, run.line = number, 1
     else:
         raise Refused
 

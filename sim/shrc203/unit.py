@@ -15,11 +15,23 @@ from sim.shrc203.options import Options
 from sim.shrc203.program_lines import Programs
 from sim.shrc203.program_run import ProgramRun
 from sim.shrc203.registration import Registrations
-from sim.shrc203.switches import A_BASE_RATE, A_CONFIG, A_EMERGENCY, A_NAME, A_UNIT, CONFIGS, G_BEEP, G_FORMAT
-from sim.shrc203.switches import G_MODE, STAGE_UNITS, Switches
+from sim.shrc203.switches import (
+    A_BASE_RATE,
+    A_CONFIG,
+    A_EMERGENCY,
+    A_NAME,
+    A_UNIT,
+    CONFIGS,
+    G_BEEP,
+    G_FORMAT,
+    G_MODE,
+    STAGE_UNITS,
+    Switches,
+)
 from sim.shrc203.trigger import Trigger
 
 MODEL = "SHRC-203"
+_MOVABLE = frozenset(("S6",))
 
 
 class Area(Enum):
@@ -41,8 +53,6 @@ class Unit:
         self.options = options
         self.switches = Switches(options)
         self.axes = [Axis(index, str(index + 1)) for index in range(3)]
-        for axis in self.axes:
-            axis.origin = options.origin_pls.get(axis.name, -1000)  # pyright: ignore[reportArgumentType]
         self.inputs = Inputs(time, scan_phase_ns)
         self.outputs = Outputs()
         self.drive = Drive(time, options)
@@ -74,6 +84,9 @@ class Unit:
 
     def _fit_stage(self, axis: Axis) -> None:
         options = self.options
+        for key, origin in options.origin_pls.items():
+            if key == axis.name:
+                axis.origin = origin
         for key, degrees in options.deg_per_pulse.items():
             if key == axis.name:
                 axis.deg_per_pulse = Fraction(str(degrees))
@@ -102,6 +115,7 @@ class Unit:
             axis.soft_limits = switches.soft_limits(index)
             axis.excited = True
             axis.errors.clear()
+            axis.check_limits()
             axis.command_error, axis.limit_stop, axis.soft_stop = False, False, 0
         self.controllable = [axis for axis in self.axes if axis.controllable]
         self.mode = "MANUAL" if switches.general(G_MODE) else "HOST"
@@ -146,8 +160,17 @@ class Unit:
             raise Refused
 
     def need_power(self, axes: Sequence[Axis]) -> None:
-        """Refuse with the excitation off, asleep, or in an emergency stop (decision 27)."""
-        if self.sleeping or any(not axis.excited or "EMERGENCY" in axis.errors for axis in axes):
+        """Refuse with the excitation off, which it also is in sleep."""
+        if self.sleeping or not all(axis.excited for axis in axes):
+            raise Refused
+
+    def need_sound(self, axes: Sequence[Axis]) -> None:
+        """Refuse motion with the excitation off or an error standing (decision 27).
+
+        A counter overflow does not count: it takes a motion, or a new coordinate, to get out of it.
+        """
+        self.need_power(axes)
+        if any(axis.errors - _MOVABLE for axis in axes):
             raise Refused
 
     def need_no_limit(self, axes: Sequence[Axis]) -> None:
@@ -168,7 +191,7 @@ class Unit:
 
     def ready_to_run(self, axis: Axis) -> bool:
         """Whether a program may move the axis."""
-        return axis.excited and not axis.errors and not self.sleeping
+        return axis.excited and not axis.errors - _MOVABLE and not self.sleeping
 
     def emergency_stop(self) -> None:
         """L:E: everything stops at once (L2990)."""
