@@ -30,15 +30,19 @@ class Sample:
     payload: bytes
 
 
-class NoReply(Exception):
+class BusError(Exception):
+    """A request that got no answer of use."""
+
+
+class NoReply(BusError):
     """Nobody serves the key (an answer at once, not a time-out). The message names the key."""
 
 
-class RequestTimeout(Exception):
+class RequestTimeout(BusError):
     """Somebody serves the key, or is thought to, but no valid reply came in time. Names key and time."""
 
 
-class RequestRefused(Exception):
+class RequestRefused(BusError):
     """The serving side answered with an error; its text is the message."""
 
 

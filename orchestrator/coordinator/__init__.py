@@ -1,0 +1,1 @@
+"""Queue, arm/commit/go, supervision, journal and reports: the one who decides."""

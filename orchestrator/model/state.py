@@ -10,6 +10,24 @@ Mode = Literal["offline", "idle", "armed", "committed", "moving", "homing", "sto
 StartClass = Literal["clock", "line", "sync", "host"]
 
 
+EventKind = Literal[
+    "online",
+    "offline",
+    "fault",
+    "cleared",
+    "limit",
+    "refusal",
+    "started",
+    "done",
+    "failed",
+    "stopped",
+    "disarmed",
+    "estop",
+    "reset",
+    "raw",
+]
+
+
 class Fault(Model):
     """Something that keeps a controller from working, and what to do about it."""
 
@@ -96,23 +114,7 @@ class Event(Model):
     seq: Int53
     utc: str
     fleet_ns: Int53 | None
-    kind: Literal[
-        "online",
-        "offline",
-        "fault",
-        "cleared",
-        "limit",
-        "refusal",
-        "started",
-        "done",
-        "failed",
-        "stopped",
-        "disarmed",
-        "estop",
-        "reset",
-        "late",
-        "bus",
-    ]
+    kind: EventKind
     text: str
     job: str | None = None
     step: int | None = None

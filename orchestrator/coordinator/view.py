@@ -1,0 +1,135 @@
+"""What the coordinator knows of the fleet: every controller's last state, its information, its events."""
+
+import asyncio
+from collections.abc import Callable
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import Bus, BusError, Declared, Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log
+from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.state import ControllerState, Event, EventsReply, EventsRequest, Info
+
+# An adapter that says nothing for so long does not live, or can not be heard. It says something 5 times a second.
+SILENT_NS = 700 * NS_PER_MS
+
+Listener = Callable[[Event], None]
+
+
+class FleetView:
+    """Listens to all controllers of the fleet file, and to nobody else."""
+
+    def __init__(self, fleet: Fleet, bus: Bus, keys: Keys, clock: Clock, log: Log) -> None:
+        self.fleet = fleet
+        self._bus = bus
+        self._keys = keys
+        self._clock = clock
+        self._log = log
+        self._states: dict[str, ControllerState] = {}
+        self._heard_ns: dict[str, int] = {}
+        self._infos: dict[str, Info] = {}
+        self._last_event: dict[str, tuple[str, int]] = {}
+        self._listeners: list[Listener] = []
+        self.on_state: Callable[[ControllerState], None] = lambda _: None
+        self._declared: list[Declared] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def start(self) -> None:
+        self._declared = [
+            await self._bus.subscribe(self._keys.state(), self._take_state),
+            await self._bus.subscribe(self._keys.event(), self._take_event),
+        ]
+        for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
+            self._take_state(Sample("", payload))
+
+    async def close(self) -> None:
+        for declared in self._declared:
+            await declared.undeclare()
+
+    def state(self, controller: str) -> ControllerState | None:
+        """The last state, however old."""
+        return self._states.get(controller)
+
+    def silent(self, controller: str) -> bool:
+        """Whether nothing was heard of the controller's adapter for too long."""
+        heard_ns = self._heard_ns.get(controller)
+        return heard_ns is None or self._clock.now_ns() - heard_ns > SILENT_NS
+
+    async def fresh(self, controller: str) -> ControllerState:
+        """The state as it is now, asked for. Raises `BusError`."""
+        payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
+        state = ControllerState.model_validate_json(payload)
+        self._take_state(Sample("", payload))
+        return state
+
+    async def info(self, controller: str) -> Info:
+        """Who the controller is; asked for once per instance of its adapter. Raises `BusError`."""
+        known, state = self._infos.get(controller), self._states.get(controller)
+        if known is not None and state is not None and known.instance == state.instance:
+            return known
+        payload = await self._bus.request(self._keys.info(controller), b"", timeout_s=1.0)
+        info = self._infos[controller] = Info.model_validate_json(payload)
+        return info
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call `listener` with every event; the result ends that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    # Inside
+
+    def _take_state(self, sample: Sample) -> None:
+        try:
+            state = ControllerState.model_validate_json(sample.payload)
+        except ValidationError as error:
+            self._log.warning(f"a state that can not be read on {sample.key}: {error.errors()[0]['msg']}")
+            return
+        if state.controller not in self.fleet.controllers:
+            return
+        self._states[state.controller] = state
+        self._heard_ns[state.controller] = self._clock.now_ns()
+        self.on_state(state)
+
+    def _take_event(self, sample: Sample) -> None:
+        try:
+            event = Event.model_validate_json(sample.payload)
+        except ValidationError as error:
+            self._log.warning(f"an event that can not be read on {sample.key}: {error.errors()[0]['msg']}")
+            return
+        instance, last = self._last_event.get(event.controller, ("", 0))
+        if instance == event.instance and event.seq <= last:
+            return
+        if instance == event.instance and event.seq > last + 1:
+            self._spawn_fill(event.controller, last)
+            return
+        self._deliver(event)
+
+    def _deliver(self, event: Event) -> None:
+        self._last_event[event.controller] = (event.instance, event.seq)
+        for listener in list(self._listeners):
+            listener(event)
+
+    def _spawn_fill(self, controller: str, after: int) -> None:
+        task = asyncio.get_running_loop().create_task(self._fill(controller, after))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _fill(self, controller: str, after: int) -> None:
+        """Ask for the events that were missed; the one that showed the gap is among them."""
+        try:
+            payload = await self._bus.request(
+                self._keys.event(controller), EventsRequest(after=after).to_json(), timeout_s=1.0
+            )
+        except BusError as error:
+            self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)
+            return
+        reply = EventsReply.model_validate_json(payload)
+        if reply.lost:
+            self._log.warning(f"{reply.lost} events of {controller} are lost for ever", controller=controller)
+        for event in reply.events:
+            if (event.instance, event.seq) > self._last_event.get(controller, ("", 0)) or (
+                event.instance != self._last_event.get(controller, ("", 0))[0]
+            ):
+                self._deliver(event)
