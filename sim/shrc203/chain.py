@@ -125,7 +125,7 @@ class Chain:
         )
         going_on = [axis for axis in entry.axes if self._hand_over(axis, speaks, ended)]
         handover_ns = round(self._options.handover_ms * NS_PER_MS)
-        for axis in going_on:
+        for axis in (axis for axis in going_on if axis.phase is Phase.AWAITING):
             self._start_later(axis, at_ns + handover_ns)
         if ended:
             self._wake_waiting(at_ns)
@@ -138,10 +138,9 @@ class Chain:
         going_on = ended and axis.pre is not None
         if going_on:
             self._migrate(axis)
+            axis.phase = Phase.AWAITING
         if speaks and axis.reply is not None:
             axis.reply(axis.name)
-        if going_on:
-            axis.phase = Phase.AWAITING
         return going_on
 
     def _start_later(self, axis: Axis, at_ns: int) -> None:

@@ -156,9 +156,9 @@ class Shrc203Controller:
         text = answer(self.unit, line, port.later)
         self._replying = False
         port.emit(text)
-        for other, late in self._after_reply:
+        following, self._after_reply = self._after_reply, []
+        for other, late in following:
             other.emit(late)
-        self._after_reply.clear()
         if self.unit.restart_due:
             self._restart()
 
