@@ -230,18 +230,22 @@ class Drive:
                 found.append((path.first_toward(sign, after), Cause.LIMIT, ""))
         elif axis.travel is not None:
             found.append((path.first_at(axis.travel[sign > 0] - track.start, sign, after), Cause.LIMIT, ""))
-        overflow = sign * (MAX_PULSES + 1) - axis.offset - track.start
-        found.append((path.first_at(overflow, sign, after), Cause.ERROR, "S6"))
-        if axis.soft_limits is not None and run.kind is not Kind.ORIGIN:
-            bound = axis.soft_limits[sign > 0] - axis.offset - track.start
-            # A move is planned to end at the limit; going past it is for the motions that are not.
-            passing = path.first_at(bound, sign, after)
+        for bound, cause, error in self._counter_bounds(run, axis, sign):
+            # Ending there is allowed, going on is not.
+            passing = path.first_at(bound - axis.offset - track.start, sign, after)
             if passing is not None and passing < path.duration - 1e-9:
-                found.append((passing, Cause.SOFT_LIMIT, ""))
+                found.append((passing, cause, error))
         if axis.stalled_at is not None and axis.closed_loop:
             bound = axis.stalled_at + sign * self._options.overflow_pls - track.start
             found.append((path.first_at(bound, sign, after), Cause.ERROR, "S4"))
         return [(t, cause, error) for t, cause, error in found if t is not None]
+
+    def _counter_bounds(self, run: Run, axis: Axis, sign: int) -> list[tuple[int, Cause, str]]:
+        """Coordinates that a motion in direction `sign` must not pass (decisions 29 and 37)."""
+        bounds = [(sign * MAX_PULSES, Cause.ERROR, "S6")]
+        if axis.soft_limits is not None and run.kind is not Kind.ORIGIN:
+            bounds.append((axis.soft_limits[sign > 0], Cause.SOFT_LIMIT, ""))
+        return bounds
 
     def _end(self, run: Run, event: _Event) -> None:
         run.timer = None
@@ -289,13 +293,13 @@ class Drive:
 
     def _finish_tracks(self, run: Run, at_ns: int) -> None:
         for track in run.tracks:
-            self._settle_down(track, track.path.end, at_ns)
+            self._close(track, track.path.end, at_ns)
 
     def _halt_tracks(self, run: Run, at_ns: int) -> None:
         for track in run.tracks:
-            self._settle_down(track, _whole(self.displacement(track, run, at_ns)[0]), at_ns)
+            self._close(track, _whole(self.displacement(track, run, at_ns)[0]), at_ns)
 
-    def _settle_down(self, track: Track, displacement: int, at_ns: int) -> None:
+    def _close(self, track: Track, displacement: int, at_ns: int) -> None:
         axis = track.axis
         axis.position = track.start + displacement
         if track.motion is not None:

@@ -32,7 +32,8 @@ class Setting:
 class Trigger:
     """One setting at a time. Pulses are worked out only while somebody is told of them."""
 
-    def __init__(self, time: DeviceTime, drive: Drive) -> None:
+    def __init__(self, time: DeviceTime, drive: Drive, scale_resolution_nm: int) -> None:
+        self._resolution_nm = scale_resolution_nm
         self._time = time
         self._drive = drive
         self._timer: Timer | None = None
@@ -88,14 +89,21 @@ class Trigger:
         self._cancel()
         self._arm(run, setting, run.t0_ns)
 
+    def _step(self, setting: Setting, axis: Axis) -> float:
+        """The interval in drive pulses."""
+        if setting.mode == PULSE:
+            return float(setting.interval)
+        return float(setting.interval * self._resolution_nm / axis.nm_per_pulse)
+
     def _arm(self, run: Run, setting: Setting, now_ns: int) -> None:
         """Wait for the next place, an interval away from the last trigger, in a direction that counts."""
         track = next(track for track in run.tracks if track.axis is setting.axis)
         after = (now_ns - run.t0_ns) * 1e-9
         signs = {PULSE: (1, -1), SCALE_PLUS: (1,), SCALE_MINUS: (-1,)}[setting.mode]
+        step = self._step(setting, track.axis)
         due: tuple[float, float] | None = None
         for sign in signs:
-            place = self._last + sign * setting.interval
+            place = self._last + sign * step
             t = track.path.first_at(place - track.start, sign, after)
             if t is not None and (due is None or t < due[0]):
                 due = (t, place)

@@ -59,7 +59,7 @@ class Unit:
         self.chain = Chain(self.axes, time, self.drive, self.inputs, options)
         self.registrations = Registrations()
         self.programs = Programs()
-        self.trigger = Trigger(time, self.drive)
+        self.trigger = Trigger(time, self.drive, options.scale_resolution_nm)
         self.program = ProgramRun(self.axes, time, self.drive, self.inputs, self.outputs, self.trigger, self)
         self.controllable: list[Axis] = []
         self.mode = "HOST"
