@@ -119,7 +119,7 @@ class Axis:
     def define(self, sample: int, counts: int) -> None:
         """`DP`: command and encoder become `counts` (L4227)."""
         self.shift += counts - self.reference(sample)
-        self.physical_zero += counts - self.actual(sample)
+        self.physical_zero += counts - (self.frozen if self.frozen is not None else self.reference(sample))
         self.gear.restart(sample)
         self.rest(sample, counts)
         if self.frozen is not None:

@@ -1,4 +1,4 @@
-"""Linear and vector sequences: CA LM LI LE VM VP CR VE CS VS VA VD VR VT ES TN (L3326-L3924, L6800-L7077, L11169-L11711)."""
+"""Linear and vector sequences: CA LM LI LE VM VP CR VE CS VS VA VD VR VT ES TN (L3326-L3924, L11169-L11711)."""
 
 from collections.abc import Callable
 

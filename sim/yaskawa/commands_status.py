@@ -214,7 +214,7 @@ _BLOCKS = "ABCDEFGHST.I"
 def _data_record(text: str) -> Runner:
     if any(letter not in "ABCDXYZWSTI" for letter in text):
         raise CommandError(4)
-    wanted = {"XYZW".find(letter) >= 0 and "ABCD"["XYZW".find(letter)] or letter for letter in text}
+    wanted = {("XYZW".find(letter) >= 0 and "ABCD"["XYZW".find(letter)]) or letter for letter in text}
 
     def run(c: Context) -> Outcome:
         machine = c.machine

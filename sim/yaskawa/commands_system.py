@@ -1,4 +1,4 @@
-"""Inputs and outputs, Ethernet, messages' ports, memory and locks (L3239-L3325, L3382-L3582, L5635-L5946, L6735, L7277)."""
+"""Inputs and outputs, Ethernet, messages' ports, memory and locks (L3239-L3582, L5635-L5946, L6735, L7277)."""
 
 from collections.abc import Callable
 

@@ -17,7 +17,7 @@ class Events:
 
     def met_limit(self) -> None:
         """A moving axis has met a limit."""
-        self.limit_met = True
+        self.limit_met = self.machine.interpreter.threads[0].running
 
     def poll(self) -> None:
         """Between two lines, and in every event: start a routine whose condition holds."""
@@ -33,8 +33,6 @@ class Events:
                 self.limit_met = False
         if "POSERR" in labels and self._error_stands(now):
             machine.interpreter.raise_event("POSERR")
-        if machine.interpreter.interrupts_on and "ININT" in labels:
-            self.inputs_changed(0, True)
 
     def _limit_stands(self, now: int) -> bool:
         motion = self.machine.motion
@@ -52,9 +50,9 @@ class Events:
     def inputs_changed(self, number: int, level: bool) -> None:
         """An input that is enabled by II has come to its active level (L5952)."""
         interpreter = self.machine.interpreter
-        if not interpreter.interrupts_on or not number:
+        if not interpreter.interrupts_on:
             return
         bit = 1 << (number - 1)
-        if interpreter.interrupts & bit and level == bool(interpreter.active_high & bit):
-            if interpreter.raise_event("ININT"):
-                interpreter.interrupts_on = False
+        active = bool(interpreter.active_high & bit)
+        if interpreter.interrupts & bit and level == active and interpreter.raise_event("ININT"):
+            interpreter.interrupts_on = False

@@ -74,12 +74,10 @@ class Homing:
             control.plan(axis, at)
             return
         if axis.mode == "index" or axis.stage == 4:
-            here = axis.reference(at)
             control.note_end(axis, at)
             code = axis.ending_code
             axis.define(at, 0)
-            if axis.mode == "index" or here is not None:
-                axis.stop_code = code
+            axis.stop_code = code
             axis.home_stage = 2
             return
         axis.stage += 1

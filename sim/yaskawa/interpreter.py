@@ -1,6 +1,7 @@
 """The one interpreter that threads and ports share, line by line (L1626, L14633, D27)."""
 
 from collections.abc import Callable
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -92,18 +93,17 @@ class Interpreter:
                 self._perform(port, thread)
                 continue
             self.busy = True
-            epoch = self._epoch
-
-            def done(port: "Port | None" = port, thread: Thread | None = thread) -> None:
-                if epoch != self._epoch:
-                    return
-                self.busy = False
-                self.machine.settle()
-                self._perform(port, thread)
-                self.machine.go_on()
-
             timebase = self.machine.timebase
-            timebase.clock.call_at_ns(timebase.after_ns(delay_ns), done)
+            timebase.clock.call_at_ns(timebase.after_ns(delay_ns), partial(self._decoded, self._epoch, port, thread))
+
+    def _decoded(self, epoch: int, port: "Port | None", thread: Thread | None) -> None:
+        """A command has been decoded: run it, unless a reset came between."""
+        if epoch != self._epoch:
+            return
+        self.busy = False
+        self.machine.settle()
+        self._perform(port, thread)
+        self.machine.go_on()
 
     def _choose(self) -> "tuple[Port | None, Thread | None]":
         current = self._current

@@ -42,8 +42,8 @@ class Machine:
         self.timing = timing
         self.timebase = Timebase(clock, oscillator)
         self.world = World(
-            home_edge={name: edge for name, edge in options.home_edge.items()},
-            index_every={name: every for name, every in options.index_every.items()},
+            home_edge=dict(options.home_edge),
+            index_every=dict(options.index_every),
             travel=dict(options.travel),
         )
         self.question_crlf = options.question_crlf
@@ -157,6 +157,7 @@ class Machine:
         for axis in self.motion.all_axes():
             self.motion.note_end(axis, now)
         kept, physical = self.motion.motions, {axis.name: axis.physical(now) for axis in self.motion.real}
+        stalled = {axis.name for axis in self.motion.real if axis.stalled}
         self.interpreter.reset()
         self.rescheduled()
         self.timebase.reset()
@@ -164,6 +165,7 @@ class Machine:
         self.motion.motions = kept
         for axis in self.motion.real:
             axis.physical_zero = -physical[axis.name]
+            axis.stalled = axis.name in stalled
         self._clear()
         self.memory.restore()
 

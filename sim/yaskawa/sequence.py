@@ -1,4 +1,4 @@
-"""Coordinate systems S and T: queues of segments and the speed along them (L6872-L7077, L11292-L11711, L13004-L13219)."""
+"""Coordinate systems S and T: queues of segments and the speed along them (L6872-L7077, L11292-L11711)."""
 
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class System:
         self.ratio = 1.0
         self.smoothing = 1.0
         self.ellipse = (1.0, 1.0)
-        self.ellipse_terms = (1, 1)
+        self.ellipse_terms: tuple[int, int] = (1, 1)
         self.tangent_scale = 1.0
         self.tangent_zero = 0.0
         self.running = False

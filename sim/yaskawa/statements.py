@@ -111,7 +111,7 @@ def compile_statement(text: str, model: "Model") -> Statement:
             return Statement(op, text, command.compile(""), command.where, command.lock)
     op = compact[:2]
     try:
-        if is_assignment(compact, model):
+        if not _is_spaced_command(text, model) and is_assignment(compact, model):
             return Statement("=", text, _assignment(compact))
         if compact.startswith("~"):
             return Statement("~", text, _variable_axis(compact))
@@ -127,6 +127,12 @@ def compile_statement(text: str, model: "Model") -> Statement:
         raise CommandError(code)
 
     return Statement(op, text, refuse, command.where if command else "both", command.lock if command else "")
+
+
+def _is_spaced_command(text: str, model: "Model") -> bool:
+    """Whether a blank or the kind of op-code says that what follows are arguments, e.g. `MG V1=2`."""
+    op, rest = text[:2], text[2:]
+    return op in model.commands and (op == "IF" or (rest[:1] == " " and not rest.lstrip().startswith(("=", "["))))
 
 
 def is_assignment(compact: str, model: "Model") -> bool:
