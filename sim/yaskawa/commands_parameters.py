@@ -117,10 +117,7 @@ def _jog(c: Context, axis: Axis, op: str) -> None:
 
 def _gear_ratio(c: Context, axis: Axis, op: str) -> None:
     at = c.machine.timebase.next_sample()
-    moving_master = axis.motion is not None and not axis.moving
-    if axis.registers["GR"] == 0 and moving_master:
-        c.machine.motion.note_end(axis, at)
-    axis.gear.set_ratio(axis.registers["GR"] / fixed.ONE, at)
+    c.machine.motion.set_gear_ratio(axis, axis.registers["GR"] / fixed.ONE, at)
 
 
 def _check_motor_type(c: Context, axis: Axis, op: str, raw: int) -> None:

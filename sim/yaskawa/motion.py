@@ -181,8 +181,8 @@ class MotionControl:
             self.coordinated.stop(axis, at, code)
             return
         if axis.gear.engaged and not axis.gear.gantry:
-            axis.gear.set_ratio(0.0, at)
             axis.registers["GR"] = 0
+            self.set_gear_ratio(axis, 0.0, at)
         if axis.mode == "contour":
             self._stop_contour(at, code)
         elif axis.mode == "cam":
@@ -417,6 +417,15 @@ class MotionControl:
         slave.modulus = 0
         self.cam.followers.discard(slave.name)
         self.note_end(slave, at)
+
+    def set_gear_ratio(self, axis: Axis, ratio: float, at: int) -> None:
+        """`GR`: takes effect at once; a slave of a moving master begins or ends its motion."""
+        axis.gear.set_ratio(ratio, at)
+        follows = any(axis in self._followers(master) for master in self.all_axes() if master.moving)
+        if follows:
+            self.note_start(axis, at)
+        elif axis.motion is not None and not axis.moving:
+            self.note_end(axis, at)
 
     # The truth
 
