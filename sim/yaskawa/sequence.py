@@ -11,6 +11,7 @@ from sim.yaskawa.segments import Point, Segment
 SEGMENTS = 511
 LONGEST = 2_000_000_000
 _TINY = 1e-9
+_KEPT_POINTS = 16
 
 
 class System:
@@ -44,6 +45,7 @@ class System:
         """`CS`: an empty queue."""
         self.segments: list[Segment] = []
         self._bounds: list[float] = [0.0]
+        self._points: dict[float, Point] = {}
         self.ended = False
         self.profile: Profile | None = None
         self._override: tuple[int, float] | None = None
@@ -107,8 +109,13 @@ class System:
         return self._index_of(self.travelled(at))
 
     def point(self, at: float) -> Point:
-        """Coordinates of the sequence at a time."""
-        return self.point_along(self.travelled(at))
+        """Coordinates of the sequence at a time; kept, because each axis asks for the same instants."""
+        found = self._points.get(at)
+        if found is None:
+            if len(self._points) >= _KEPT_POINTS:
+                self._points.clear()
+            found = self._points[at] = self.point_along(self.travelled(at))
+        return found
 
     def point_along(self, along: float) -> Point:
         index = self._index_of(along)
@@ -130,6 +137,7 @@ class System:
     def stop(self, at: int) -> None:
         """Decelerate along the path and drop the rest (L13007, D34)."""
         self.stopping = True
+        self._points.clear()
         profile = self.profile
         if profile is None:
             return
@@ -148,6 +156,7 @@ class System:
     def plan(self, at: int) -> None:
         """Lay the speed over the path from the state at `at`, with the registers as they are now."""
         profile = self.profile
+        self._points.clear()
         if profile is None or self.stopping:
             return
         profile.cut(at)
