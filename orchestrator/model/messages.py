@@ -1,11 +1,10 @@
 """Requests and replies on the bus. A refusal is a value: a reply says either what was done or why not."""
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Int53, Model
-from orchestrator.model.job import Job
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import ClockMapping, Costs, StartClass
 
@@ -195,33 +194,3 @@ class TraceReply(Reply):
     entries: list[tuple[HostNs, Literal["out", "in"], str]] = Field(default=[])
     utc: str = ""
     host_ns: HostNs = 0
-
-
-# The service of the reigning coordinator
-
-
-class Submit(Request):
-    """Take a job. The same `client_key` again gives the same job back."""
-
-    job: Job
-    client_key: str
-    dry_run: bool = False
-
-
-class Submitted(Reply):
-    job_id: str = ""
-    dry_run: dict[str, Any] | None = None
-
-
-class JobRef(Request):
-    job_id: str
-
-
-class ListJobs(Request):
-    limit: int = Field(default=50, ge=1, le=10_000)
-
-
-class StopFleet(Request):
-    """Stop the running job, all its axes."""
-
-    mode: Literal["decelerate", "abort"] = "decelerate"

@@ -125,3 +125,21 @@ class JobReport(Model):
     steps: list[StepReport] = Field(default=[])
     transitions: list[Transition] = Field(default=[])
     notes: dict[str, Any] = Field(default={})
+
+
+class QueueEntry(Model):
+    """A job in a list."""
+
+    id: str
+    name: str
+    actor: str
+    state: JobState
+    reason: str
+    submitted_utc: str
+
+
+class QueueState(Model):
+    """Jobs in a list: those that wait and run on `queue`, the newest in the answer to `svc/list`."""
+
+    schema_: Literal["tutti.queue/1"] = Field(default="tutti.queue/1", alias="schema")
+    jobs: list[QueueEntry]

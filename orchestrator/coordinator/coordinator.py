@@ -1,0 +1,208 @@
+"""The coordinator: reigns over a fleet, adopts its controllers, serves users, runs jobs."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import Bus, Declared, RequestRefused, Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log, Sink
+from orchestrator.clock.base import Clock
+from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.motion import Motion
+from orchestrator.coordinator.reign import Throne
+from orchestrator.coordinator.runner import Interrupted, Runner, queue_state
+from orchestrator.coordinator.steps import PlainSteps, check_job
+from orchestrator.coordinator.targets import Refuse
+from orchestrator.coordinator.view import FleetView
+from orchestrator.model.base import Model
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Move
+from orchestrator.model.messages import Adopt, Adopted, Refusal, Reply
+from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
+from orchestrator.model.state import ControllerState
+
+ADOPT_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Court:
+    """What a coordinator is given: everything that differs between live and virtual."""
+
+    bus: Bus
+    keys: Keys
+    clock: Clock
+    journal: Journal
+    runs: Runs
+    new_id: Callable[[], str]
+    sink: Sink
+
+
+class Coordinator:
+    """One coordinator of `fleet`."""
+
+    def __init__(self, fleet: Fleet, court: Court) -> None:
+        self._fleet = fleet
+        self._court = court
+        bus, keys, clock = court.bus, court.keys, court.clock
+        self.throne = Throne(fleet.fleet, bus, keys, clock, court.journal, court.runs, court.new_id)
+        self._log = Log("coordinator", self.throne.coordinator[:8], clock, court.sink, bus, keys)
+        self._log.fleet_ns = lambda: self.throne.fleet_now_ns() if self.throne.epoch else None
+        self._view = FleetView(fleet, bus, keys, clock, self._log)
+        members = Members(bus, keys, self.throne, court.new_id)
+        self._members = members
+        self._motion = Motion(self._view, members, self.throne, clock, court.journal, court.runs, self._log)
+        plain = PlainSteps(self._view, members, clock, self._motion.targets)
+        self.runner = Runner(
+            bus, keys, clock, court.journal, court.runs, self._view, self._motion, plain, self.throne, self._log
+        )
+        self._adopting: set[str] = set()
+        self._adopted: dict[str, str] = {}
+        self._declared: list[Declared] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.deposed = asyncio.Event()
+        self._verbs: dict[str, tuple[type[Model], Callable[[Any], Awaitable[Model]]]] = {
+            "submit": (Submit, self._submit),
+            "list": (ListJobs, self._list),
+            "show": (JobRef, self._show),
+            "cancel": (JobRef, self._cancel),
+            "stop": (StopFleet, self._stop),
+        }
+
+    async def start(self, take_over: bool = False) -> None:
+        """Begin to reign. Raises `AnotherReigns`, `JournalError`."""
+        await self.throne.take(take_over)
+        self.throne.on_lost = self._depose
+        self._view.on_state = self._see
+        await self._view.start()
+        bus, keys = self._court.bus, self._court.keys
+        await self.runner.start()
+        self._declared = [
+            await bus.serve(keys.svc(), self._answer),
+            await bus.announce(keys.live("coordinator", self.throne.coordinator[:8], f"e{self.throne.epoch}")),
+        ]
+        self._log.info("reigns", epoch=self.throne.epoch, scale=self.throne.scale.scale_id)
+
+    async def close(self, reason: str = "the coordinator was stopped") -> None:
+        """Stop what runs and leave."""
+        for declared in self._declared:
+            await declared.undeclare()
+        self._declared.clear()
+        await self.runner.close(reason)
+        await self._view.close()
+        await self.throne.close()
+        for task in list(self._tasks):
+            task.cancel()
+
+    # Adoption: every controller that is heard and not ours yet
+
+    def _see(self, state: ControllerState) -> None:
+        controller = state.controller
+        ours = self._adopted.get(controller) == state.instance and state.epoch == self.throne.epoch
+        if ours or controller in self._adopting or self.throne.over or not self.throne.epoch:
+            return
+        self._adopting.add(controller)
+        self._spawn(self._adopt(controller, state.instance))
+
+    async def _adopt(self, controller: str, instance: str) -> None:
+        try:
+            request = Adopt(**self._members.fields("coordinator"), reign=self.throne.reign())
+            reply = await self._members.ask(controller, "adopt", request, Adopted, ADOPT_S)
+            if reply.refused is None:
+                self._adopted[controller] = instance
+                self._log.info("adopted", controller=controller, epoch=self.throne.epoch)
+            else:
+                self._log.warning(f"not adopted: {reply.refused.text}", controller=controller)
+        finally:
+            self._adopting.discard(controller)
+
+    def _depose(self, reason: str) -> None:
+        """A newer reign was heard: answer nobody any more, touch nothing. The adapters refuse us anyhow."""
+        self._log.warning(reason, epoch=self.throne.epoch)
+
+        async def leave() -> None:
+            for declared in self._declared:
+                await declared.undeclare()
+            self._declared.clear()
+            self.deposed.set()
+
+        self._spawn(leave())
+
+    # Service
+
+    async def _answer(self, sample: Sample) -> bytes:
+        verb = self._court.keys.verb_of(sample.key)
+        if verb not in self._verbs:
+            raise RequestRefused(f"unknown verb {verb!r}; known: {', '.join(sorted(self._verbs))}")
+        model, handler = self._verbs[verb]
+        try:
+            request = model.model_validate_json(sample.payload)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise RequestRefused(f"{verb}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        if self.throne.over:
+            raise RequestRefused("this coordinator reigns no more; ask again")
+        return (await handler(request)).to_json()
+
+    async def _submit(self, request: Submit) -> Reply:
+        try:
+            check_job(self._fleet, list(request.job.steps))
+            if request.dry_run:
+                return Submitted(dry_run=await self._dry_run(request))
+        except Refuse as error:
+            return Submitted(refused=error.refusal)
+        job_id, fresh = await self._court.runs(
+            self._court.journal.accept,
+            self._court.new_id()[:8],
+            request.client_key,
+            request.job,
+            self._court.clock.utc(),
+        )
+        if fresh:
+            self._log.info(f"accepted {request.job.name!r} from {request.actor}", job=job_id)
+            await self.runner.publish_queue()
+        self.runner.wake()
+        return Submitted(job_id=job_id)
+
+    async def _dry_run(self, request: Submit) -> dict[str, Any]:
+        """What each motion step would take, each planned from where the axes stand now."""
+        steps: dict[str, Any] = {}
+        for index, step in enumerate(request.job.steps):
+            if isinstance(step, Move):
+                steps[str(index)] = await self._motion.dry_run(request.job, index, step)
+        return steps
+
+    async def _list(self, request: ListJobs) -> Model:
+        return queue_state(await self._court.runs(self._court.journal.recent, request.limit))
+
+    async def _show(self, request: JobRef) -> Model:
+        journal, runs = self._court.journal, self._court.runs
+        row = await runs(journal.row, request.job_id)
+        if row is None:
+            return JobShown(
+                refused=Refusal(code="unknown-job", text=f"no job {request.job_id}", remedy="see `tutti job ls`")
+            )
+        job, report = await runs(journal.job, row.id), await runs(journal.report, row.id)
+        return JobShown(
+            entry=queue_state([row]).jobs[0],
+            job=job,
+            report=report,
+            transitions=await runs(journal.transitions, row.id),
+        )
+
+    async def _cancel(self, request: JobRef) -> Model:
+        return Reply(refused=await self.runner.cancel(request.job_id, request.actor))
+
+    async def _stop(self, request: StopFleet) -> Model:
+        interrupt = Interrupted("aborted", f"stopped by {request.actor}", request.actor)
+        await self.runner.interrupt(interrupt, request.mode)
+        return Reply()
+
+    def _spawn(self, coroutine: Any) -> None:
+        task: asyncio.Task[None] = asyncio.get_running_loop().create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)

@@ -1,0 +1,416 @@
+"""A motion step: plan, propose, settle the start, arm, commit, go, watch, report (design, section 6)."""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from orchestrator.bus.base import BusError
+from orchestrator.bus.log import Log
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.coordinator.budget import judge, make_budget, skew
+from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.reign import Throne
+from orchestrator.coordinator.targets import Refuse, Resolved, refuse, resolve
+from orchestrator.coordinator.view import FleetView
+from orchestrator.model.duration import format_ns
+from orchestrator.model.job import Job, Move
+from orchestrator.model.messages import (
+    Arm,
+    Armed,
+    Commit,
+    Disarm,
+    Go,
+    Proposal,
+    Propose,
+    Reply,
+    StepRef,
+    Stop,
+)
+from orchestrator.model.profile import Profile
+from orchestrator.model.report import Budget, JobState, MemberReport, StepReport
+from orchestrator.model.state import AxisState, Event, Info
+from orchestrator.plan.shape import PlanError
+from orchestrator.plan.step import Plan, Targets, plan_step
+
+ROUNDS = 3
+ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
+# Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
+MARGIN_NS = 150 * NS_PER_MS
+STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
+SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
+LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
+
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class _Step:
+    """A step under way."""
+
+    job_id: str
+    index: int
+    actor: str
+    resolved: Resolved
+    plan: Plan
+    proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
+    armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
+    budget: Budget | None = None
+    t0_fleet_ns: int = 0
+    events: "asyncio.Queue[Event]" = field(default_factory=lambda: asyncio.Queue[Event]())
+
+    def profiles(self, member: str) -> dict[str, Profile]:
+        """The member's share of the plan, by its own axis names."""
+        prefix = member + "."
+        return {axis.removeprefix(prefix): p for axis, p in self.plan.profiles.items() if axis.startswith(prefix)}
+
+
+class Motion:
+    """Runs motion steps. `on_state` is told how far the job has come."""
+
+    def __init__(
+        self,
+        view: FleetView,
+        members: Members,
+        throne: Throne,
+        clock: Clock,
+        journal: Journal,
+        runs: Runs,
+        log: Log,
+    ) -> None:
+        self._view = view
+        self._members = members
+        self._throne = throne
+        self._clock = clock
+        self._journal = journal
+        self._runs = runs
+        self._log = log
+        self.targets = Targets()
+
+    async def run(
+        self,
+        job_id: str,
+        job: Job,
+        index: int,
+        step: Move,
+        on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
+        on_started: Callable[[int, float], None],
+    ) -> StepReport:
+        """Run one move to its end. Raises `Refuse` when nothing has moved; else the report says how it went."""
+        await on_state("planning", "")
+        moving = await self._plan(job_id, job, index, step)
+        if not moving.plan.profiles:
+            return StepReport(
+                index=index, do="move", name=step.name or "", state="done", reason="all are there already"
+            )
+        await self._propose(moving, job, step)
+        await self._arm_and_release(moving, job, step, on_state)
+        await on_state("running", "")
+        on_started(moving.t0_fleet_ns, moving.plan.duration_s)
+        report = await self._watch(moving, step)
+        if report.state == "done":
+            for axis, (exact, counts) in moving.resolved.exact.items():
+                self.targets.reached(axis, exact, counts)
+        return report
+
+    async def dry_run(self, job: Job, index: int, step: Move) -> dict[str, Any]:
+        """Durations, budget and what each controller would be sent. Raises `Refuse`."""
+        moving = await self._plan("dry-run", job, index, step)
+        if moving.plan.profiles:
+            await self._propose(moving, job, step)
+        return {
+            "duration_s": moving.plan.duration_s,
+            "budget": moving.budget.to_plain() if moving.budget else None,
+            "commands": {member: proposal.commands for member, proposal in moving.proposals.items()},
+        }
+
+    # Plan and propose
+
+    async def _plan(self, job_id: str, job: Job, index: int, step: Move) -> _Step:
+        names = list(step.to | step.by)
+        members = list(dict.fromkeys(name.partition(".")[0] for name in names))
+        states: dict[str, AxisState] = {}
+        infos: dict[str, Info] = {}
+        for member in members:
+            try:
+                state = await self._view.fresh(member)
+                infos[member] = await self._view.info(member)
+            except BusError as error:
+                raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
+            if state.mode == "offline":
+                fault = state.faults[0] if state.faults else None
+                raise Refuse(
+                    "offline",
+                    f"{member} can not be reached: {fault.text if fault else 'no link'}",
+                    fault.remedy if fault else "check its link",
+                    member,
+                )
+            states |= {f"{member}.{axis}": each for axis, each in state.axes.items()}
+        resolved = resolve(step, self._view.fleet, states, infos, self.targets)
+        try:
+            plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
+        except PlanError as error:
+            raise Refuse("plan", str(error)) from None
+        return _Step(job_id, index, job.actor, resolved, plan)
+
+    async def _propose(self, moving: _Step, job: Job, step: Move) -> None:
+        """At most three rounds: T becomes the longest answer, until all can make it."""
+        allowed_ns = step.max_end_skew or job.max_end_skew
+        durations: dict[str, float] = {}
+        for _ in range(ROUNDS):
+            await self._propose_once(moving, step)
+            durations = {
+                f"{member}.{axis}": took_s
+                for member, proposal in moving.proposals.items()
+                for axis, took_s in proposal.durations_s.items()
+            }
+            longest_s = max(durations.values())
+            if step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9):
+                break
+            moving.plan = moving.plan.stretched(longest_s)
+        if step.sync != "none":
+            worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
+            off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
+            if off_ns > allowed_ns:
+                raise Refuse(
+                    "end-skew",
+                    f"axis {worst} would end {format_ns(off_ns)} off the plan; allowed are {format_ns(allowed_ns)}",
+                    "move further or faster, or allow more with `max_end_skew`",
+                    worst.partition(".")[0],
+                )
+        moving.budget = budget = make_budget(moving.proposals, step.max_start_skew or job.max_start_skew)
+        if budget.predicted_ns > budget.allowed_ns and len(moving.plan.profiles) > 1:
+            raise Refuse(
+                "start-skew",
+                f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
+                f"{budget.worst_member}, by its {budget.worst_term}",
+                "allow more with `max_start_skew`, or improve that member's link",
+                budget.worst_member,
+            )
+
+    async def _propose_once(self, moving: _Step, step: Move) -> None:
+        members = list(dict.fromkeys(axis.partition(".")[0] for axis in moving.plan.profiles))
+        requests = {
+            member: Propose(
+                **self._ref(moving),
+                digest=self._view.fleet.controllers[member].digest,
+                duration_s=moving.plan.duration_s,
+                profiles=moving.profiles(member),
+                start=step.start,
+            )
+            for member in members
+        }
+        moving.proposals = await self._ask_all("propose", requests, Proposal)
+        self._refuse_if_any(moving.proposals)
+
+    # Arm, commit, go
+
+    async def _arm_and_release(
+        self,
+        moving: _Step,
+        job: Job,
+        step: Move,
+        on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
+    ) -> None:
+        arming_ns = max(proposal.costs.arm_ns for proposal in moving.proposals.values() if proposal.costs)
+        disarm_ns = max(proposal.costs.disarm_ns for proposal in moving.proposals.values() if proposal.costs)
+        for growth in LEAD_GROWTH:
+            await on_state("arming", "")
+            moving.t0_fleet_ns = self._throne.fleet_now_ns() + growth * (arming_ns + MARGIN_NS) + disarm_ns
+            await self._arm(moving, step)
+            # Commit and go need their time too, and after it a failure must still leave time to disarm.
+            if self._throne.fleet_now_ns() + MARGIN_NS // 2 + disarm_ns < moving.t0_fleet_ns:
+                break
+            await self._disarm(moving)
+            self._log.warning("arming took longer than promised; arming again with more lead", job=moving.job_id)
+        else:
+            raise Refuse("late", "arming takes longer than the members say, however long the lead", "see the report")
+        await on_state("armed", "")
+        await self._commit(moving)
+        await self._runs(
+            self._journal.decide,
+            moving.job_id,
+            moving.index,
+            self._throne.epoch,
+            moving.t0_fleet_ns,
+            ",".join(moving.proposals),
+            self._clock.utc(),
+        )
+        if self._throne.over:
+            await self._disarm(moving)
+            raise Refuse("deposed", "another coordinator has taken over")
+        await on_state("committed", "")
+        await self._go(moving)
+
+    async def _arm(self, moving: _Step, step: Move) -> None:
+        requests = {
+            member: Arm(
+                **self._ref(moving),
+                digest=self._view.fleet.controllers[member].digest,
+                t0_fleet_ns=moving.t0_fleet_ns,
+                profiles=moving.profiles(member),
+                start=step.start,
+            )
+            for member in moving.proposals
+        }
+        timeout_s = {
+            member: ANSWER_S + 2 * (proposal.costs.arm_ns if proposal.costs else 0) / NS_PER_S
+            for member, proposal in moving.proposals.items()
+        }
+        moving.armed = await self._ask_all("arm", requests, Armed, max(timeout_s.values()))
+        await self._disarm_if_refused(moving, moving.armed)
+
+    async def _commit(self, moving: _Step) -> None:
+        requests = {member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_fleet_ns) for member in moving.proposals}
+        left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
+        promises = await self._ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
+        await self._disarm_if_refused(moving, promises)
+
+    async def _go(self, moving: _Step) -> None:
+        """After the decision: a member that can not go makes all others stop before, or just after, they begin."""
+        requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_fleet_ns) for member in moving.proposals}
+        left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
+        released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, left_s)))
+        await self._disarm_if_refused(moving, released)
+
+    async def _disarm_if_refused(self, moving: _Step, replies: Mapping[str, Reply]) -> None:
+        refused = next((reply.refused for reply in replies.values() if reply.refused is not None), None)
+        if refused is None:
+            return
+        await self._disarm(moving)
+        raise refuse(refused)
+
+    async def _disarm(self, moving: _Step) -> None:
+        """Unload all; a member that says it moves already, or says nothing, is stopped as well."""
+        requests = {member: Disarm(**self._ref(moving)) for member in moving.proposals}
+        replies = await self._ask_all("disarm", requests, Reply)
+        doubtful = [member for member, reply in replies.items() if reply.refused is not None]
+        if doubtful:
+            await self.stop(doubtful, "decelerate", moving.actor, "disarm did not succeed")
+
+    # Watch and report
+
+    async def _watch(self, moving: _Step, step: Move) -> StepReport:
+        """Wait for every member's start and end; stop all as soon as one fails."""
+        waiting_start = set(moving.proposals)
+        waiting_end = set(moving.proposals)
+        longest_s = max(max(proposal.durations_s.values()) for proposal in moving.proposals.values())
+        ends_ns = moving.t0_fleet_ns + round(longest_s * NS_PER_S)
+        reports = {member: self._member_report(moving, member) for member in moving.proposals}
+        failure: tuple[str, str] | None = None
+        while waiting_end and failure is None:
+            event = await self._next_event(moving)
+            if event is not None:
+                member = event.controller
+                if event.kind in ("started", "done"):
+                    waiting_start.discard(member)
+                    reports[member] = reports[member].model_copy(update={"evidence": event.evidence})
+                if event.kind == "done":
+                    waiting_end.discard(member)
+                if event.kind in ("failed", "stopped", "disarmed"):
+                    failure = (event.kind, f"{member}: {event.text}")
+            failure = failure or self._overdue(moving, waiting_start, waiting_end, ends_ns)
+        if failure is not None:
+            await self.stop(list(moving.proposals), "decelerate", moving.actor, failure[1])
+        return self._report(moving, step, reports, failure)
+
+    def _overdue(
+        self, moving: _Step, waiting_start: set[str], waiting_end: set[str], ends_ns: int
+    ) -> tuple[str, str] | None:
+        """What has not happened although it should have by now."""
+        now_ns = self._throne.fleet_now_ns()
+        silent = [member for member in sorted(waiting_end) if self._view.silent(member)]
+        if silent:
+            return "failed", f"{silent[0]}: its adapter is silent"
+        if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS:
+            return "failed", f"{min(waiting_start)}: promised, and has not started"
+        if waiting_end and now_ns > ends_ns + SETTLE_NS:
+            return "failed", f"{min(waiting_end)}: has not come to its end"
+        return None
+
+    async def _next_event(self, moving: _Step) -> Event | None:
+        """The next event about this step, or None after a while."""
+        try:
+            async with asyncio.timeout(0.05):
+                event = await moving.events.get()
+        except TimeoutError:
+            return None
+        about = (event.job, event.step) == (moving.job_id, moving.index)
+        return event if about and event.controller in moving.proposals else None
+
+    def _member_report(self, moving: _Step, member: str) -> MemberReport:
+        proposal, armed = moving.proposals[member], moving.armed[member]
+        profiles = moving.profiles(member)
+        return MemberReport(
+            start_class=proposal.start_class,
+            axes=list(profiles),
+            armed_in_ns=armed.took_ns,
+            stages_ns=armed.stages_ns,
+            mapping=armed.mapping,
+            planned_s={axis: profile.duration_s for axis, profile in profiles.items()},
+            lowered_s=proposal.durations_s,
+        )
+
+    def _report(
+        self, moving: _Step, step: Move, reports: dict[str, MemberReport], failure: tuple[str, str] | None
+    ) -> StepReport:
+        evidence = [each for report in reports.values() for each in report.evidence.values()]
+        starts = [each.start for each in evidence]
+        ends = [each.end for each in evidence if each.end is not None]
+        complete = len(starts) == len(moving.plan.profiles)
+        start_skew = skew(starts) if complete else None
+        end_skew = skew(ends) if len(ends) == len(moving.plan.profiles) else None
+        actual_s = None
+        if failure is None and ends:
+            first_ns = min((each.earliest_ns + each.latest_ns) // 2 for each in starts)
+            last_ns = max((each.earliest_ns + each.latest_ns) // 2 for each in ends)
+            actual_s = (last_ns - first_ns) / NS_PER_S
+        return StepReport(
+            index=moving.index,
+            do="move",
+            name=step.name or "",
+            state="done" if failure is None else "stopped" if failure[0] == "stopped" else "failed",
+            reason="" if failure is None else failure[1],
+            planned_s=moving.plan.duration_s,
+            actual_s=actual_s,
+            t0_fleet_ns=moving.t0_fleet_ns,
+            members=reports,
+            budget=moving.budget,
+            start_skew=start_skew,
+            end_skew=end_skew,
+            verdict=judge(start_skew, moving.budget),
+        )
+
+    async def stop(self, members: list[str], mode: str, actor: str, reason: str) -> None:
+        """Stop members, all at once; who does not answer is logged."""
+        requests = {
+            member: Stop(
+                request_id=self._members.new_id(),
+                actor=actor,
+                mode="abort" if mode == "abort" else "decelerate",
+                reason=reason,
+            )
+            for member in members
+        }
+        replies = await self._ask_all("stop", requests, Reply)
+        for member, reply in replies.items():
+            if reply.refused is not None:
+                self._log.warning(f"stop: {reply.refused.text}", controller=member)
+
+    # Inside
+
+    def _ref(self, moving: _Step) -> dict[str, Any]:
+        return {**self._members.fields(moving.actor), "job": moving.job_id, "step": moving.index}
+
+    async def _ask_all(
+        self, verb: str, requests: Mapping[str, StepRef | Stop], reply: type[T], timeout_s: float = ANSWER_S
+    ) -> dict[str, T]:
+        ask: Any = self._members.ask
+        asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
+        return dict(zip(requests, await asyncio.gather(*asked), strict=True))
+
+    def _refuse_if_any(self, replies: Mapping[str, Reply]) -> None:
+        for reply in replies.values():
+            if reply.refused is not None:
+                raise refuse(reply.refused)

@@ -1,0 +1,99 @@
+"""From the targets of a move, in units, to what the planner takes, in counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.job import Move
+from orchestrator.model.messages import Refusal
+from orchestrator.model.state import AxisState, Info
+from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.step import AxisMove, Targets
+
+
+class Refuse(Exception):
+    """A step that is not begun; the reason is a value."""
+
+    def __init__(self, code: str, text: str, remedy: str = "", member: str | None = None) -> None:
+        super().__init__(text)
+        self.refusal = Refusal(code=code, text=text, remedy=remedy, member=member)
+
+
+def refuse(refusal: Refusal) -> Refuse:
+    """A member's refusal as the step's."""
+    return Refuse(refusal.code, f"{refusal.member}: {refusal.text}", refusal.remedy, refusal.member)
+
+
+@dataclass(frozen=True, slots=True)
+class Resolved:
+    """A move in counts, with the exact targets that it stands for."""
+
+    moves: list[AxisMove]
+    exact: dict[str, tuple[Fraction, int]]
+
+
+def resolve(
+    step: Move, fleet: Fleet, states: Mapping[str, AxisState], infos: Mapping[str, Info], targets: Targets
+) -> Resolved:
+    """Absolute counts for all axes of `step`, checked against referenced, enabled and soft limits.
+
+    states: by axis; infos: by controller. Raises `Refuse`.
+    """
+    moves: list[AxisMove] = []
+    exact: dict[str, tuple[Fraction, int]] = {}
+    for name, value in (step.to | step.by).items():
+        axis, state = fleet.axis(name), states[name]
+        controller = name.partition(".")[0]
+        _require_ready(name, state, controller)
+        here = targets.position(name, state.commanded_counts, axis.counts_per_unit)
+        try:
+            amount = parse_quantity(value, axis.unit)
+        except UnitError as error:
+            raise Refuse("bad-unit", f"{name}: {error}", member=controller) from None
+        target = here + amount if name in step.by else _turned(axis, here, amount)
+        counts = axis.to_counts(target)
+        _require_inside(name, axis, target, counts, controller)
+        exact[name] = (target, counts)
+        scale = float(axis.scale)
+        moves.append(
+            AxisMove(
+                axis=name,
+                start_counts=state.commanded_counts,
+                target_counts=counts,
+                velocity=axis.limits.velocity * scale,
+                acceleration=axis.limits.acceleration * scale,
+                jerk=None if axis.limits.jerk is None else axis.limits.jerk * scale,
+                order=max(infos[controller].orders),
+                soft_limits=axis.soft_limits_counts,
+            )
+        )
+    return Resolved(moves, exact)
+
+
+def _turned(axis: Axis, here: Fraction, target: Fraction) -> Fraction:
+    """A rotary axis that may take the shortest way: the turn of `target` that lies nearest to `here`."""
+    if not axis.shortest_way or axis.wrap is None:
+        return target
+    turn = parse_quantity(axis.wrap, axis.unit)
+    return target + turn * round((here - target) / turn)
+
+
+def _require_ready(name: str, state: AxisState, controller: str) -> None:
+    if not state.enabled:
+        raise Refuse("not-enabled", f"axis {name} is not enabled", "add a step `do: enable` before", controller)
+    if not state.referenced:
+        raise Refuse("not-referenced", f"axis {name} is not referenced", "add a step `do: home` before", controller)
+
+
+def _require_inside(name: str, axis: Axis, target: Fraction, counts: int, controller: str) -> None:
+    limits = axis.soft_limits_counts
+    if limits is None or limits[0] <= counts <= limits[1]:
+        return
+    low, high = sorted(axis.to_unit(limit) for limit in limits)
+    raise Refuse(
+        "soft-limit",
+        f"axis {name}: target {float(target):g} {axis.unit} is beyond its soft limits {low:g} to {high:g} {axis.unit}",
+        "change the target, or the soft limits in the fleet file",
+        controller,
+    )
