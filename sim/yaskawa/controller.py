@@ -76,17 +76,19 @@ class Controller:
         self.machine.io.listeners.append(listener)
 
     def position(self, axis: str) -> float:
-        """Commanded position of the sample that runs, whole counts."""
+        """Commanded position now, in counts: on the profile while it moves, a whole count at rest."""
         machine = self.machine
         machine.settle()
-        found = self._axis(axis)
-        return float(found.reported(found.reference(machine.now())))
+        found, instant = self._axis(axis), machine.timebase.instant()
+        if found.modulus or found.command_velocity(instant) == 0.0:
+            return float(found.reported(found.reference(machine.now())))
+        return found.command(instant)
 
     def velocity(self, axis: str) -> float:
         """Commanded velocity, counts per true second."""
         machine = self.machine
         machine.settle()
-        return self._axis(axis).command_velocity(machine.now()) * machine.timebase.sample_rate()
+        return self._axis(axis).command_velocity(machine.timebase.instant()) * machine.timebase.sample_rate()
 
     def moving(self, axis: str) -> bool:
         machine = self.machine

@@ -37,6 +37,10 @@ class Timebase:
         """The sample that runs now."""
         return self._base_sample + (self.device_ns() - self._base_ns) * 16 // (15625 * self.period_us)
 
+    def instant(self) -> float:
+        """Now in samples, with the fraction of the one that runs."""
+        return self._base_sample + (self.device_ns() - self._base_ns) * 16 / (15625 * self.period_us)
+
     def next_sample(self) -> int:
         """The first sample instant that is not past: a command given now takes effect there."""
         sample = self.sample()
