@@ -60,10 +60,11 @@ class _LoopOrder:
 
 
 class LoopFirer:
-    """Fires from the event loop: exact in virtual time."""
+    """Fires from the event loop, which is exact in virtual time. `wake_ns` draws how late a process would wake."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, wake_ns: Callable[[], int] = lambda: 0) -> None:
         self._clock = clock
+        self._wake_ns = wake_ns
 
     def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _LoopOrder:
-        return _LoopOrder(self._clock, link, Order(data, at_ns, latest_ns))
+        return _LoopOrder(self._clock, link, Order(data, at_ns + self._wake_ns(), latest_ns))

@@ -1,0 +1,1 @@
+"""Whole fleets put together: in virtual time, live on this machine, for demos, benchmarks and fault campaigns."""

@@ -7,7 +7,7 @@ the receiver in the receiver's own context, so that a frozen receiver takes them
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextvars import Context, copy_context
+from contextvars import Context
 from dataclasses import dataclass, field
 from random import Random
 from typing import Protocol
@@ -125,7 +125,6 @@ class MemoryLink:
     def __init__(self, wire: MemoryWire) -> None:
         self._wire = wire
         self._far: FarConnection | None = None
-        self._near_context = copy_context()
         self._open = True
         self._received: deque[Received] = deque()
         self._waiting: asyncio.Future[None] | None = None

@@ -181,6 +181,20 @@ class StateRates(Model):
     idle_hz: float = Field(default=5.0, gt=0, le=200)
 
 
+class Simulation(Model):
+    """How a controller is simulated, for `--sim` and tests: the unit's options, its firmware's and crystal's times."""
+
+    options: dict[str, Any] = Field(default={}, description="The simulator's own options.")
+    decode_us: int = Field(default=500, ge=0, description="Time of the firmware for a command.")
+    spread_us: int = Field(default=0, ge=0, description="Up to so much more, at random.")
+    offset_s: float = Field(default=0.0, ge=0, description="The controller's clock at the start.")
+    drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
+    wander_ppm: float = Field(
+        default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s."
+    )
+    hold_ms: float = Field(default=0.0, ge=0, le=100, description="Receive delay of a USB serial adapter, at most.")
+
+
 class Controller(Model):
     """One physical motion controller."""
 
@@ -188,7 +202,7 @@ class Controller(Model):
     link: Link
     host: Id = Field(default="local", description="The adapter host that drives it.")
     options: dict[str, Any] = Field(default={}, description="The adapter's own options.")
-    simulate: dict[str, Any] = Field(default={}, description="Options of its simulator, for `--sim` and tests.")
+    simulate: Simulation = Simulation()
     axes: dict[Id, Axis] = Field(min_length=1)
     inputs: dict[Id, Input] = Field(default={})
     outputs: dict[Id, Output] = Field(default={})
@@ -213,7 +227,8 @@ class Controller(Model):
     @property
     def digest(self) -> str:
         """Names this configuration: equal digests mean equal configuration on both sides of the bus."""
-        text = json.dumps(self.to_plain(), sort_keys=True, separators=(",", ":"))
+        plain = {name: value for name, value in self.to_plain().items() if name != "simulate"}
+        text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

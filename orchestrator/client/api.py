@@ -1,0 +1,249 @@
+"""Submit jobs, watch them, look at the fleet, stop it. The command line is built on this.
+
+async with await Tutti.connect("tcp/127.0.0.1:7447") as tutti:
+    job_id = await tutti.submit(job)
+    report = await tutti.wait(job_id)
+"""
+
+import asyncio
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any, Self, TypeVar
+
+from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.keys import ROOT, Keys
+from orchestrator.model.base import Model
+from orchestrator.model.job import Job
+from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
+from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
+from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
+from orchestrator.model.state import ControllerState
+
+M = TypeVar("M", bound=Model)
+
+ANSWER_S = 3.0
+DRY_RUN_S = 30.0
+
+
+class Refused(Exception):
+    """The service says no; `refusal` says why and what to do."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.text)
+        self.refusal = refusal
+
+
+class Tutti:
+    """A connection to one fleet."""
+
+    def __init__(self, bus: Bus, fleet: str, actor: str, new_id: Callable[[], str] = lambda: uuid.uuid4().hex) -> None:
+        self.bus = bus
+        self.keys = Keys(fleet)
+        self.actor = actor
+        self._new_id = new_id
+
+    @classmethod
+    async def connect(cls, endpoint: str, fleet: str | None = None, actor: str = "api") -> Self:
+        """Connect to the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`; without `fleet`, to the only one there.
+
+        Raises `RouterUnreachable`, or `Refused` with code `no-fleet` or `which-fleet`.
+        """
+        from orchestrator.bus.zenoh_bus import open_bus
+
+        bus = await open_bus(endpoint)
+        try:
+            return cls(bus, fleet or await find_fleet(bus), actor)
+        except BaseException:
+            await bus.close()
+            raise
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        await self.bus.close()
+
+    # Jobs
+
+    async def submit(self, job: Job, client_key: str | None = None) -> str:
+        """Submit a job: its id, once it is safe in the journal. Raises `Refused`."""
+        request = Submit(**self._fields(), job=job, client_key=client_key or self._new_id())
+        return (await self._service("submit", request, Submitted)).job_id
+
+    async def dry_run(self, job: Job) -> dict[str, Any]:
+        """What each motion step would take, from where the fleet stands now. Raises `Refused`."""
+        request = Submit(**self._fields(), job=job, client_key=self._new_id(), dry_run=True)
+        return (await self._service("submit", request, Submitted, DRY_RUN_S)).dry_run or {}
+
+    async def jobs(self, limit: int = 50) -> QueueState:
+        """The newest jobs, newest first."""
+        return await self._ask_service("list", ListJobs(**self._fields(), limit=limit), QueueState, ANSWER_S)
+
+    async def show(self, job_id: str) -> JobShown:
+        """Everything the journal has of a job. Raises `Refused`."""
+        return await self._service("show", JobRef(**self._fields(), job_id=job_id), JobShown)
+
+    async def cancel(self, job_id: str) -> None:
+        """Cancel a job, queued or running. Raises `Refused`."""
+        await self._service("cancel", JobRef(**self._fields(), job_id=job_id), Reply)
+
+    async def wait(
+        self, job_id: str, on_progress: Callable[[Progress], None] | None = None, poll_s: float = 1.0
+    ) -> JobReport:
+        """Wait for a job's end and give its report. Progress comes from the bus; the journal has the last word.
+
+        Raises `Refused` for a job that does not exist. A coordinator that is away meanwhile is waited for.
+        """
+        changed = asyncio.Event()
+
+        def take(sample: Sample) -> None:
+            progress = Progress.model_validate_json(sample.payload)
+            if on_progress is not None:
+                on_progress(progress)
+            if progress.state in ENDED:
+                changed.set()
+
+        subscription = await self.bus.subscribe(self.keys.job_state(job_id), take)
+        try:
+            while True:
+                try:
+                    report = (await self.show(job_id)).report
+                except Refused as error:
+                    if error.refusal.code not in ("no-coordinator", "no-answer"):
+                        raise
+                    report = None
+                if report is not None:
+                    return report
+                changed.clear()
+                try:
+                    async with asyncio.timeout(poll_s):
+                        await changed.wait()
+                except TimeoutError:
+                    continue
+        finally:
+            await subscription.undeclare()
+
+    # The fleet
+
+    async def status(self) -> dict[str, ControllerState]:
+        """The state of every controller that has an adapter now, by id."""
+        replies = await self.bus.request_all(self.keys.state(), b"", timeout_s=ANSWER_S)
+        states = [ControllerState.model_validate_json(payload) for payload in replies.values()]
+        return {state.controller: state for state in sorted(states, key=lambda each: each.controller)}
+
+    async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
+        """Stop every controller, directly, and the running job. What each controller answered, by id."""
+        controllers = list(await self.status())
+        request = Stop(**self._fields(), mode="abort" if mode == "abort" else "decelerate")
+        stops = [self._command(controller, "stop", request, Reply) for controller in controllers]
+        service = self._service("stop", StopFleet(**self._fields(), mode=request.mode), Reply)
+        *replies, _ = await asyncio.gather(*stops, service, return_exceptions=True)
+        return {
+            controller: reply.refusal if isinstance(reply, Refused) else None
+            for controller, reply in zip(controllers, replies, strict=True)
+        }
+
+    async def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
+        """Put an e-stop, and say which controllers show its latch within `timeout_s`."""
+        event = f"{self.actor}-{self._new_id()[:8]}"
+        self.bus.put(self.keys.estop, Estop(event=event, actor=self.actor, reason=reason).to_json(), Priority.ESTOP)
+        latched: dict[str, bool] = {}
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not latched or not all(latched.values()):
+                    latched = {name: state.estop is not None for name, state in (await self.status()).items()}
+        except TimeoutError:
+            pass
+        return latched
+
+    async def reset(self) -> dict[str, Refusal | None]:
+        """Release the e-stop latch of every controller and clear its faults. What each answered, by id."""
+        controllers = list(await self.status())
+        request = Reset(**self._fields())
+        asked = [self._command(controller, "reset", request, Reply) for controller in controllers]
+        replies = await asyncio.gather(*asked, return_exceptions=True)
+        return {
+            controller: reply.refusal if isinstance(reply, Refused) else None
+            for controller, reply in zip(controllers, replies, strict=True)
+        }
+
+    async def raw(self, controller: str, command: str, i_know: bool) -> str:
+        """Send a line in the controller's own language. Raises `Refused`."""
+        request = Raw(**self._fields(), command=command, i_know=i_know)
+        return (await self._command(controller, "raw", request, RawReply)).reply
+
+    async def trace(self, controller: str) -> TraceReply:
+        """The last minute of bytes on a controller's link. Raises `Refused`."""
+        return await self._command(controller, "trace", Request(**self._fields()), TraceReply)
+
+    @asynccontextmanager
+    async def samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[Sample]"]:
+        """A queue that gets every sample on the given key expressions while the context lasts."""
+        queue: asyncio.Queue[Sample] = asyncio.Queue()
+        declared = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
+        try:
+            yield queue
+        finally:
+            for each in declared:
+                await each.undeclare()
+
+    # Inside
+
+    def _fields(self) -> dict[str, Any]:
+        return {"request_id": self._new_id(), "actor": self.actor}
+
+    async def _service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
+        return _accepted(await self._ask_service(verb, request, reply, timeout_s))
+
+    async def _ask_service(self, verb: str, request: Request, reply: type[M], timeout_s: float) -> M:
+        absent = Refusal(
+            code="no-coordinator",
+            text=f"no coordinator reigns in fleet {self.keys.fleet}",
+            remedy="start one: `tutti up FLEET`",
+        )
+        return await self._ask(self.keys.svc(verb), request, reply, timeout_s, absent)
+
+    async def _command(self, controller: str, verb: str, request: Request, reply: type[M]) -> M:
+        absent = Refusal(
+            code="absent",
+            text=f"no adapter answers for controller {controller}",
+            remedy="see `tutti status` for those that are there",
+            member=controller,
+        )
+        return _accepted(await self._ask(self.keys.cmd(controller, verb), request, reply, ANSWER_S, absent))
+
+    async def _ask(self, key: str, request: Request, reply: type[M], timeout_s: float, absent: Refusal) -> M:
+        try:
+            return reply.model_validate_json(await self.bus.request(key, request.to_json(), timeout_s))
+        except NoReply:
+            raise Refused(absent) from None
+        except RequestTimeout as error:
+            raise Refused(Refusal(code="no-answer", text=str(error), remedy="is that process hung?")) from None
+        except RequestRefused as error:
+            raise Refused(Refusal(code="bad-request", text=str(error))) from None
+
+
+async def find_fleet(bus: Bus) -> str:
+    """The only fleet on the bus. Raises `Refused`."""
+    try:
+        replies = await bus.request_all(f"{ROOT}/*/time", b"", timeout_s=2.0)
+        replies |= await bus.request_all(f"{ROOT}/*/ctl/*/state", b"", timeout_s=2.0)
+    except BusError:
+        replies = {}
+    fleets = sorted({key.removeprefix(ROOT + "/").partition("/")[0] for key in replies})
+    if len(fleets) == 1:
+        return fleets[0]
+    if not fleets:
+        raise Refused(Refusal(code="no-fleet", text="no fleet is on this bus", remedy="start one: `tutti up FLEET`"))
+    text = f"several fleets are on this bus: {', '.join(fleets)}"
+    raise Refused(Refusal(code="which-fleet", text=text, remedy="choose one with --fleet"))
+
+
+def _accepted(reply: M) -> M:
+    if isinstance(reply, Reply) and reply.refused is not None:
+        raise Refused(reply.refused)
+    return reply
