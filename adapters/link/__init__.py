@@ -1,0 +1,1 @@
+"""Links to real hardware: TCP sockets and serial ports."""

@@ -1,0 +1,1 @@
+"""Simulated controllers on real sockets and pseudo-terminals."""

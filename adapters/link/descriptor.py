@@ -1,0 +1,109 @@
+"""What a socket and a serial port have in common: a link over an open descriptor that never blocks."""
+
+import asyncio
+import os
+from collections import deque
+from collections.abc import Callable
+
+from orchestrator.clock.base import Clock
+from orchestrator.link.base import LinkClosed, Received
+
+READ_BYTES = 65536
+
+
+class DescriptorLink:
+    """A `Link` over `fd`, which must be in non-blocking mode. `release` closes it. Needs a running asyncio loop.
+
+    Bytes are taken as soon as the loop sees them, whether anybody waits or not, so that their stamps are true.
+    """
+
+    def __init__(self, place: str, char_ns: int, fd: int, release: Callable[[], None], clock: Clock) -> None:
+        self._place = place
+        self._char_ns = char_ns
+        self._fd = fd
+        self._release = release
+        self._clock = clock
+        self._loop = asyncio.get_running_loop()
+        self._received: deque[Received] = deque()
+        self._waiting: asyncio.Future[None] | None = None
+        self._closed_because: str | None = None
+        self._loop.add_reader(fd, self._readable)
+
+    @property
+    def place(self) -> str:
+        return self._place
+
+    @property
+    def char_ns(self) -> int:
+        return self._char_ns
+
+    def fileno(self) -> int:
+        """The open descriptor. Raises `LinkClosed`: the number of a closed one may be somebody else's by now."""
+        self._require_open()
+        return self._fd
+
+    def write(self, data: bytes) -> int:
+        self._require_open()
+        at_ns = self._clock.now_ns()
+        try:
+            taken = os.write(self._fd, data)
+        except BlockingIOError:
+            taken = 0
+        except OSError as error:
+            self._shut(f"{self._place}: {error.strerror}")
+            raise self._closed() from None
+        if taken < len(data):
+            # Half a command may be on the wire: nothing sensible can follow it on this link.
+            self._shut(
+                f"{self._place}: only {taken} of {len(data)} bytes were taken, the operating system's buffer is full; "
+                "the controller does not read, or is held off by its handshake"
+            )
+            raise self._closed()
+        return at_ns
+
+    async def read(self) -> Received:
+        while not self._received:
+            self._require_open()
+            self._waiting = self._loop.create_future()
+            try:
+                await self._waiting
+            finally:
+                self._waiting = None
+        return self._received.popleft()
+
+    async def close(self) -> None:
+        self._shut(f"{self._place} is closed")
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._shut(f"{self._place}: {error.strerror}")
+            return
+        at_ns = self._clock.now_ns()
+        if not data:
+            self._shut(f"{self._place}: closed by the other side")
+            return
+        self._received.append(Received(data, at_ns))
+        self._wake()
+
+    def _shut(self, because: str) -> None:
+        if self._closed_because is not None:
+            return
+        self._closed_because = because
+        self._loop.remove_reader(self._fd)
+        self._release()
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+    def _require_open(self) -> None:
+        if self._closed_because is not None:
+            raise self._closed()
+
+    def _closed(self) -> LinkClosed:
+        return LinkClosed(self._closed_because or self._place)

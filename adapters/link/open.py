@@ -1,0 +1,19 @@
+"""From a link of the fleet file to an open one."""
+
+from adapters.link.serial import open_serial
+from adapters.link.tcp import open_tcp
+from orchestrator.clock.base import Clock
+from orchestrator.link.base import Link, OpenLink
+from orchestrator.model.fleet import Link as LinkModel
+from orchestrator.model.fleet import TcpLink
+
+
+def open_link(model: LinkModel, clock: Clock) -> OpenLink:
+    """What opens a further link to the controller at `model`, each time it is called."""
+
+    async def opened() -> Link:
+        if isinstance(model, TcpLink):
+            return await open_tcp(model, clock)
+        return open_serial(model, clock)
+
+    return opened

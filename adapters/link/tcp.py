@@ -1,0 +1,67 @@
+"""Links over TCP."""
+
+import asyncio
+import contextlib
+import errno
+import socket
+
+from adapters.link.descriptor import DescriptorLink
+from orchestrator.clock.base import Clock
+from orchestrator.link.base import Link, LinkRefused
+from orchestrator.model.fleet import TcpLink
+
+CONNECT_TIMEOUT_S = 2.0
+
+# What was sent and not acknowledged for so long means a dead wire; the kernel's own default is some 15 minutes.
+UNACKNOWLEDGED_MS = 3000
+
+# Room for a whole program to be downloaded; a controller that takes less than this has stopped reading.
+SEND_BUFFER_BYTES = 65536
+
+_REMEDY = {
+    errno.ECONNREFUSED: "connection refused; is the controller switched on, and is that its port?",
+    errno.ECONNRESET: "the controller hung up at once; all its handles may be taken",
+    errno.EHOSTUNREACH: "no such host on that network; check address, cable and power",
+    errno.ENETUNREACH: "this computer has no way to that network; check address and network settings",
+    errno.EACCES: "this computer's firewall forbids it; allow the connection",
+    errno.EPERM: "this computer's firewall forbids it; allow the connection",
+    errno.ETIMEDOUT: "no answer; check address, cable and power",
+}
+
+
+async def open_tcp(link: TcpLink, clock: Clock) -> Link:
+    """Connect to `link`. Raises `LinkRefused` after at most `CONNECT_TIMEOUT_S`."""
+    family = socket.AF_INET6 if ":" in link.host else socket.AF_INET
+    connection = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNACKNOWLEDGED_MS)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        async with asyncio.timeout(CONNECT_TIMEOUT_S):
+            await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
+    except BaseException as error:
+        connection.close()
+        reason = _reason(link, error)
+        if reason is None:
+            raise
+        raise LinkRefused(f"{link.place}: {reason}") from None
+
+    def release() -> None:
+        # A firing process may hold a copy of the descriptor; shut down, that one writes no more either.
+        with contextlib.suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)
+        connection.close()
+
+    return DescriptorLink(link.place, 0, connection.fileno(), release, clock)
+
+
+def _reason(link: TcpLink, error: BaseException) -> str | None:
+    """Why it could not be opened and what to do; None for an error that is not of the connection."""
+    if isinstance(error, TimeoutError) and error.errno is None:
+        return f"no answer within {CONNECT_TIMEOUT_S:g} s; check address, cable and power"
+    if isinstance(error, socket.gaierror):
+        return f"the name {link.host} is not known; correct it, or give the address in numbers"
+    if isinstance(error, OSError):
+        return _REMEDY.get(error.errno or 0, f"{error.strerror}; check address and network settings")
+    return None

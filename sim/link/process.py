@@ -1,0 +1,118 @@
+"""The process of one simulated controller: `python -m sim.link.process --model smc4000 --name gantry --listen …`.
+
+When it can be reached it prints one JSON line with its place. It ends with SIGTERM, SIGINT, or when its standard
+input is closed, so that it never outlives the one who started it. Lines on standard input change its physical world.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
+
+from pydantic import ValidationError
+
+from orchestrator.clock.live import LiveClock
+from sim.core.controller import PortRefused, SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+from sim.link.arguments import PtyPlace, first_problem, parse_arguments
+from sim.link.pty import PtyServer
+from sim.link.tcp import TcpServer, listen_tcp
+from sim.link.truth import TruthLog
+from sim.link.world import WorldRefused, change_world
+
+
+class CannotStart(Exception):
+    """The simulator can not be reached as it was asked to. Says why."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run until ended. Gives 0, or 2 with one line on stderr when it can not start."""
+    chosen = parse_arguments(arguments)
+    try:
+        asyncio.run(_run(chosen))
+    except CannotStart as error:
+        sys.stderr.write(f"{chosen.name}: {error}\n")
+        return 2
+    return 0
+
+
+async def _run(chosen: argparse.Namespace) -> None:
+    clock = LiveClock()
+    with contextlib.ExitStack() as cleanup:
+        lines = await _standard_input()
+        controller = _build(chosen, clock)
+        server = await _serve(chosen, controller, clock)
+        cleanup.callback(server.close)
+        if chosen.truth is not None:
+            TruthLog(controller, clock, cleanup.enter_context(_opened(chosen.truth)))
+        sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
+        sys.stdout.flush()
+        await _until_ended(lines, server, controller, chosen.name)
+
+
+async def _standard_input() -> asyncio.StreamReader:
+    """Standard input as lines."""
+    reader = asyncio.StreamReader()
+    try:
+        await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    except (OSError, ValueError):
+        raise CannotStart("standard input must be a pipe or a terminal: the simulator ends when it is closed") from None
+    return reader
+
+
+def _build(chosen: argparse.Namespace, clock: LiveClock) -> SimulatedController:
+    oscillator = Oscillator(**chosen.oscillator.model_dump())
+    timing = Timing(**chosen.timing.model_dump())
+    try:
+        model = simulator(chosen.model)
+        return model.build(clock, chosen.options, oscillator=oscillator, timing=timing, seed=chosen.seed)
+    except ValidationError as error:
+        raise CannotStart(f"--options: {first_problem(error)}") from None
+    except ValueError as error:
+        raise CannotStart(str(error)) from None
+
+
+async def _serve(
+    chosen: argparse.Namespace, controller: SimulatedController, clock: LiveClock
+) -> TcpServer | PtyServer:
+    place = chosen.listen
+    try:
+        if isinstance(place, PtyPlace):
+            return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
+        return await listen_tcp(controller, place.host, place.port)
+    except (PortRefused, OSError) as error:
+        raise CannotStart(f"--listen: {error}") from None
+
+
+def _opened(path: Path) -> TextIO:
+    try:
+        return path.open("a", encoding="utf-8")
+    except OSError as error:
+        raise CannotStart(f"--truth: {path}: {error.strerror}") from None
+
+
+async def _until_ended(
+    lines: asyncio.StreamReader, server: TcpServer | PtyServer, controller: SimulatedController, name: str
+) -> None:
+    """Change the world line by line, until standard input is closed or a signal comes."""
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        while line := await lines.readline():
+            try:
+                change_world(controller, line.decode("utf-8", "replace"))
+            except WorldRefused as error:
+                sys.stderr.write(f"{name}: {error}\n")
+            server.reconnect()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,103 @@
+"""A simulated controller's Ethernet port as a listening socket."""
+
+import asyncio
+import contextlib
+import socket
+import struct
+
+from sim.core.controller import Connection, PortRefused, SimulatedController
+
+PORT = "tcp"
+
+# More than this unread, and the controller gives the connection up: its own buffers are smaller.
+UNREAD_BYTES = 65536
+
+_RESET_ON_CLOSE = struct.pack("ii", 1, 0)
+
+
+class _Handle(asyncio.Protocol):
+    """One connection of a client."""
+
+    def __init__(self, server: "TcpServer") -> None:
+        self._server = server
+        self._transport: asyncio.Transport | None = None
+        self._far: Connection | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._server.handles.add(self)
+        connection: socket.socket = transport.get_extra_info("socket")
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            self._far = self._server.controller.connect(PORT, self._send, self.hang_up)
+        except PortRefused:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
+            transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        if self._far is not None:
+            self._far.receive(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        del exc
+        self._server.handles.discard(self)
+        far, self._far = self._far, None
+        if far is not None:
+            far.close()
+
+    def hang_up(self) -> None:
+        """The controller ends the connection, after what it has said."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def _send(self, data: bytes) -> None:
+        if self._transport is None or self._transport.is_closing():
+            return
+        if self._transport.get_write_buffer_size() > UNREAD_BYTES:
+            self._transport.abort()
+        else:
+            self._transport.write(data)
+
+
+class TcpServer:
+    """Serves `controller` on a TCP port. Made by `listen_tcp`."""
+
+    def __init__(self, controller: SimulatedController) -> None:
+        self.controller = controller
+        self.handles: set[_Handle] = set()
+        self._server: asyncio.Server | None = None
+
+    async def listen(self, host: str, port: int) -> None:
+        """Open the port; 0 takes a free one. Raises `OSError`."""
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(lambda: _Handle(self), host, port)
+
+    @property
+    def ready(self) -> dict[str, object]:
+        """Where it is, for the ready line."""
+        assert self._server is not None
+        host, port = self._server.sockets[0].getsockname()[:2]
+        return {"place": f"tcp {host}:{port}", "kind": "tcp", "host": host, "port": port}
+
+    def reconnect(self) -> None:
+        """Clients of a controller that comes back from a power cycle connect by themselves."""
+
+    def close(self) -> None:
+        """Close the port and all connections."""
+        if self._server is not None:
+            self._server.close()
+        for handle in list(self.handles):
+            handle.hang_up()
+
+
+async def listen_tcp(controller: SimulatedController, host: str, port: int) -> TcpServer:
+    """Serve `controller` at `host` and `port`. Raises `PortRefused` when it has no such port, `OSError`."""
+    if PORT not in controller.ports:
+        raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.ports)}")
+    server = TcpServer(controller)
+    with contextlib.ExitStack() as undo:
+        undo.callback(server.close)
+        await server.listen(host, port)
+        undo.pop_all()
+    return server

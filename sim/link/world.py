@@ -1,0 +1,43 @@
+"""The physical world around a live simulator, changed by JSON lines."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sim.core.controller import LimitSwitch, SimulatedController
+
+
+class WorldRefused(ValueError):
+    """A line that can not be acted upon. Says why."""
+
+
+class Change(BaseModel):
+    """One line: any of these, in this order. input: number and level. limit: axis and switches. stall: axis, on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    power: bool | None = None
+    input: tuple[Annotated[int, Field(ge=1)], bool] | None = None
+    limit: tuple[str, LimitSwitch] | None = None
+    stall: tuple[str, bool] | None = None
+
+
+def change_world(controller: SimulatedController, line: str) -> None:
+    """Do what the JSON `line` says. Raises `WorldRefused`."""
+    try:
+        change = Change.model_validate_json(line)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"]))
+        raise WorldRefused(f'{field or "line"}: {first["msg"]}; e.g. {{"input": [1, true]}}') from None
+    for axis in [pair[0] for pair in (change.limit, change.stall) if pair is not None]:
+        if axis not in controller.axes:
+            raise WorldRefused(f"no axis {axis!r}; there are {', '.join(controller.axes)}")
+    if change.power is not None:
+        controller.set_power(change.power)
+    if change.input is not None:
+        controller.set_input(*change.input)
+    if change.limit is not None:
+        controller.set_limit(*change.limit)
+    if change.stall is not None:
+        controller.set_stalled(*change.stall)
