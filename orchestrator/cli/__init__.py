@@ -1,0 +1,1 @@
+"""The `tutti` command. It composes all others and is imported by none."""

@@ -189,9 +189,7 @@ class Simulation(Model):
     spread_us: int = Field(default=0, ge=0, description="Up to so much more, at random.")
     offset_s: float = Field(default=0.0, ge=0, description="The controller's clock at the start.")
     drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
-    wander_ppm: float = Field(
-        default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s."
-    )
+    wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
     hold_ms: float = Field(default=0.0, ge=0, le=100, description="Receive delay of a USB serial adapter, at most.")
 
 

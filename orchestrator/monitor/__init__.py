@@ -1,0 +1,1 @@
+"""What only listens: views of the fleet for people."""

@@ -1,0 +1,96 @@
+"""What the commands share: how to reach the fleet, output for people and programs, errors and exit codes."""
+
+import asyncio
+import getpass
+import json
+import sys
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, NoReturn, TypeVar
+
+import click
+from rich.console import Console
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+FAILED, BAD_INPUT, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
+
+console = Console()
+errors = Console(stderr=True)
+
+_UNREACHABLE_CODES = {"no-fleet", "no-coordinator", "absent", "no-answer"}
+
+
+def fleet_options(command: F) -> F:
+    """Adds `--connect` and `--fleet`."""
+    connect = click.option(
+        "--connect",
+        envvar="TUTTI_CONNECT",
+        default="tcp/127.0.0.1:7447",
+        show_default=True,
+        help="The router, as `tcp/HOST:PORT`.",
+    )
+    fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The fleet, if there are several.")
+    return connect(fleet(command))
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+
+
+def print_json(value: Any) -> None:
+    """One JSON document on standard output."""
+    sys.stdout.write(json.dumps(value, indent=2) + "\n")
+
+
+def fail(text: str, code: int = FAILED, remedy: str = "") -> NoReturn:
+    """Say what is wrong and what to do, and exit."""
+    errors.print(f"[bold red]tutti:[/] {_plain(text)}", highlight=False, soft_wrap=True)
+    if remedy:
+        errors.print(f"       {_plain(remedy)}", highlight=False, soft_wrap=True)
+    raise SystemExit(code)
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", "\\[")
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Run `main`; every expected error becomes a message and an exit code."""
+    from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable
+    from orchestrator.client.api import Refused
+    from orchestrator.lab.live import UpFailed
+    from orchestrator.model.files import FileError
+
+    try:
+        return asyncio.run(main)
+    except KeyboardInterrupt:
+        errors.print("interrupted")
+        raise SystemExit(INTERRUPTED) from None
+    except FileError as error:
+        fail(str(error), BAD_INPUT)
+    except (RouterUnreachable, RouterRefused) as error:
+        fail(str(error), UNREACHABLE)
+    except UpFailed as error:
+        fail(str(error), FAILED)
+    except Refused as error:
+        code = UNREACHABLE if error.refusal.code in _UNREACHABLE_CODES else FAILED
+        fail(f"{error.refusal.text} ({error.refusal.code})", code, error.refusal.remedy)
+
+
+def with_fleet(connect: str, fleet: str | None, act: Callable[[Any], Awaitable[T]]) -> T:
+    """Connect, do `act(tutti)`, and leave the bus in every case."""
+    from orchestrator.client import Tutti
+
+    async def main() -> T:
+        async with await Tutti.connect(connect, fleet, actor=actor()) as tutti:
+            return await act(tutti)
+
+    return run(main())
+
+
+def actor() -> str:
+    """Who asks, for journals and logs."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"

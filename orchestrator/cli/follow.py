@@ -1,0 +1,37 @@
+"""Follow a job to its end on the screen."""
+
+from rich.live import Live
+
+from orchestrator.cli.common import console
+from orchestrator.client import Tutti
+from orchestrator.model.report import JobReport, Progress
+from orchestrator.monitor.fleet_view import LiveView, job_line
+
+
+async def follow(tutti: Tutti, job_id: str, quiet: bool) -> JobReport:
+    """Wait for a job, showing the fleet live on a terminal, lines elsewhere, nothing if `quiet`."""
+    if quiet:
+        return await tutti.wait(job_id)
+    if not console.is_terminal:
+        last = ""
+
+        def tell(progress: Progress) -> None:
+            nonlocal last
+            line = job_line(progress)
+            # The same state and step again differs only in its time.
+            if line[28:] != last:
+                last = line[28:]
+                console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+        return await tutti.wait(job_id, tell)
+    view = LiveView(tutti.keys)
+    async with tutti.samples(*view.expressions) as samples:
+        view.states = await tutti.status()
+        with Live(get_renderable=view.render, console=console, refresh_per_second=10, transient=True):
+
+            def take(progress: Progress) -> None:
+                view.job = progress
+                while not samples.empty():
+                    view.take(samples.get_nowait())
+
+            return await tutti.wait(job_id, take, poll_s=0.25)

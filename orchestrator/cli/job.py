@@ -1,0 +1,144 @@
+"""`tutti job …` and `tutti submit`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orchestrator.cli.common import FAILED, console, errors, fleet_options, json_option, print_json, with_fleet
+
+_FILE = click.argument("file", type=click.Path(path_type=Path))
+
+
+@click.group(epilog="Example: tutti job submit move.job.yaml --wait")
+def job() -> None:
+    """Submit, list, show and cancel jobs, and read their reports."""
+
+
+@click.command("submit", epilog="Example: tutti submit deploy/examples/demo.job.yaml --wait")
+@_FILE
+@fleet_options
+@json_option
+@click.option("--wait", is_flag=True, help="Wait for the end and print the report; exit 1 unless the job is done.")
+@click.option("--dry-run", is_flag=True, help="Only say what each move would take, from where the axes stand now.")
+@click.option("--key", default=None, help="Client key: the same key again gives the same job, never a second one.")
+def submit(
+    file: Path, connect: str, fleet: str | None, as_json: bool, wait: bool, dry_run: bool, key: str | None
+) -> None:
+    """Submit the job in FILE."""
+    from orchestrator.cli.follow import follow
+    from orchestrator.client import Tutti
+    from orchestrator.model.files import load_job
+    from orchestrator.monitor.report_table import report_tables
+
+    async def act(tutti: Tutti) -> None:
+        loaded = load_job(file)
+        if dry_run:
+            _show_dry_run(await tutti.dry_run(loaded), as_json)
+            return
+        job_id = await tutti.submit(loaded, key)
+        if not wait:
+            print_json({"job_id": job_id}) if as_json else console.print(f"job {job_id} is accepted")
+            return
+        report = await follow(tutti, job_id, quiet=as_json)
+        print_json(report.to_plain()) if as_json else console.print(report_tables(report))
+        if report.state != "done":
+            raise SystemExit(FAILED)
+
+    with_fleet(connect, fleet, act)
+
+
+job.add_command(submit)
+
+
+@job.command("ls", epilog="Example: tutti job ls --limit 5")
+@fleet_options
+@json_option
+@click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 10_000))
+def list_jobs(connect: str, fleet: str | None, as_json: bool, limit: int) -> None:
+    """List the newest jobs."""
+    from rich.table import Table
+
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        jobs = (await tutti.jobs(limit)).jobs
+        if as_json:
+            print_json([entry.to_plain() for entry in jobs])
+            return
+        table = Table(header_style="bold")
+        for name in ("job", "name", "actor", "state", "submitted", "reason"):
+            table.add_column(name)
+        for entry in jobs:
+            table.add_row(entry.id, entry.name, entry.actor, entry.state, entry.submitted_utc[:19], entry.reason)
+        console.print(table)
+
+    with_fleet(connect, fleet, act)
+
+
+@job.command(epilog="Example: tutti job show 3f2a91c0")
+@click.argument("job_id")
+@fleet_options
+@json_option
+def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
+    """Show a job: its steps and how it came to its state."""
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        shown = await tutti.show(job_id)
+        if as_json:
+            print_json(shown.to_plain())
+            return
+        assert shown.entry is not None
+        console.print(f"job {shown.entry.id} {shown.entry.name!r} of {shown.entry.actor}: {shown.entry.state}")
+        for index, step in enumerate(shown.job.steps if shown.job else []):
+            console.print(f"  {index} {step.do} {step.name or ''}", highlight=False)
+        for change in shown.transitions:
+            console.print(f"{change.utc} {change.state} {change.reason}", highlight=False, markup=False)
+
+    with_fleet(connect, fleet, act)
+
+
+@job.command(epilog="Example: tutti job cancel 3f2a91c0")
+@click.argument("job_id")
+@fleet_options
+def cancel(job_id: str, connect: str, fleet: str | None) -> None:
+    """Cancel a job: a queued one never runs, a running one is stopped."""
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        await tutti.cancel(job_id)
+        console.print(f"job {job_id} is cancelled")
+
+    with_fleet(connect, fleet, act)
+
+
+@job.command(epilog="Example: tutti job report 3f2a91c0 --json")
+@click.argument("job_id")
+@fleet_options
+@json_option
+def report(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
+    """Print the report of a job that has ended: budget, verdict, members, durations."""
+    from orchestrator.client import Tutti
+    from orchestrator.monitor.report_table import report_tables
+
+    async def act(tutti: Tutti) -> None:
+        found = (await tutti.show(job_id)).report
+        if found is None:
+            errors.print(f"[bold red]tutti:[/] job {job_id} has not ended; see `tutti job show {job_id}`")
+            raise SystemExit(FAILED)
+        print_json(found.to_plain()) if as_json else console.print(report_tables(found))
+
+    with_fleet(connect, fleet, act)
+
+
+def _show_dry_run(steps: dict[str, dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print_json(steps)
+        return
+    for index, step in steps.items():
+        console.print(f"step {index}: {step['duration_s']:.4f} s", highlight=False)
+        commands: dict[str, list[str]] = step["commands"]
+        for member, lines in commands.items():
+            for line in lines:
+                console.print(f"  {member}: {line}", highlight=False, markup=False)

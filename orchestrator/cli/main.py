@@ -1,0 +1,56 @@
+"""The root command: subcommands are imported when they are used, so that `tutti --help` is quick."""
+
+from importlib import import_module
+
+import click
+
+# command: (module, one line of help); grouped as the help shows them.
+_COMMANDS: dict[str, tuple[str, str]] = {
+    "up": ("up", "Start everything for a fleet on this machine."),
+    "status": ("fleet", "Show every controller and axis."),
+    "watch": ("watch", "Watch the fleet and the running job live."),
+    "stop": ("fleet", "Stop all axes by their ramps."),
+    "estop": ("fleet", "Stop everything at once, and latch."),
+    "reset": ("fleet", "Release the e-stop latch and clear faults."),
+    "submit": ("job", "Submit a job (same as `job submit`)."),
+    "job": ("job", "Submit, list, show, cancel jobs; read reports."),
+    "raw": ("controller", "Send a line in a controller's own language."),
+    "trace": ("controller", "Show the last bytes on a controller's link."),
+    "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
+    "demo": ("demo", "Run a job on a simulated fleet and show the report."),
+    "bench": ("bench", "Measure Tutti."),
+    "sim": ("sim", "Simulated controllers: check them against test vectors."),
+}
+
+EPILOG = """\b
+Exit codes: 0 done; 1 it was refused or failed; 2 bad input (arguments, files);
+3 the bus, the fleet or the coordinator can not be reached; 130 interrupted.
+
+\b
+Example:
+  tutti up deploy/examples/demo.fleet.yaml --sim
+  tutti submit deploy/examples/demo.job.yaml --wait
+"""
+
+
+class _Lazy(click.Group):
+    """Knows its commands by name and imports the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"orchestrator.cli.{_COMMANDS[cmd_name][0]}"), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+
+
+@click.command(cls=_Lazy, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="tutti")
+def main() -> None:
+    """Tutti makes motion controllers of different makers move as one machine."""

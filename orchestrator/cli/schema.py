@@ -1,0 +1,16 @@
+"""`tutti schema`: JSON Schemas of the files, for editors."""
+
+import click
+
+from orchestrator.cli.common import print_json
+
+
+@click.command(epilog="Example: tutti schema fleet > fleet.schema.json")
+@click.argument("kind", type=click.Choice(["fleet", "job"]))
+def schema(kind: str) -> None:
+    """Print the JSON Schema of a fleet or job file, so that editors complete and check it."""
+    from orchestrator.model.fleet import Fleet
+    from orchestrator.model.job import Job
+
+    model = Fleet if kind == "fleet" else Job
+    print_json(model.model_json_schema())

@@ -1,0 +1,76 @@
+"""`tutti up`: a whole fleet on this machine."""
+
+import asyncio
+import os
+import signal
+from pathlib import Path
+
+import click
+
+from orchestrator.cli.common import FAILED, console, run
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti up deploy/examples/demo.fleet.yaml --sim
+  tutti up lab.fleet.yaml --connect tcp/192.168.1.5:7447"""
+)
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--sim", "simulated", is_flag=True, help="Replace every link by a simulated controller; print which.")
+@click.option("--connect", default="", help="Use the router (zenohd) at `tcp/HOST:PORT` instead of starting one.")
+@click.option("--port", default=7447, show_default=True, help="Port of the router that is started, on 127.0.0.1.")
+@click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
+@click.option("--take-over", is_flag=True, help="Reign although another coordinator does.")
+def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None, take_over: bool) -> None:
+    """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends it all.
+
+    Ctrl-C stops the running job first; a process that dies is started again.
+    """
+    from adapters.host import check_controller
+    from orchestrator.lab.live import LiveFleet
+    from orchestrator.model.files import FileError, Problem, load_fleet
+
+    async def main() -> None:
+        fleet = load_fleet(file)
+        problems: list[Problem] = []
+        for name, config in fleet.controllers.items():
+            try:
+                check_controller(name, config)
+            except ValueError as error:
+                problems.append(Problem(str(file), 1, "", str(error)))
+        if problems:
+            raise FileError(problems)
+        folder = state or default_state(fleet.fleet)
+        live = LiveFleet(fleet, folder, _say, connect=connect, port=port, simulated=simulated, take_over=take_over)
+        end = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, end.set)
+        starting = loop.create_task(live.start())
+        ended = loop.create_task(end.wait())
+        await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
+        if not starting.done():
+            starting.cancel()
+            await asyncio.wait([starting])
+            return
+        await starting
+        _say(f"fleet {fleet.fleet} is up; state in {folder}; Ctrl-C ends it")
+        assert live.failed is not None
+        await asyncio.wait([ended, live.failed], return_when=asyncio.FIRST_COMPLETED)
+        _say("stopping")
+        await live.close()
+        if live.failed.done():
+            raise SystemExit(FAILED)
+
+    run(main())
+
+
+def default_state(fleet: str) -> Path:
+    """`$XDG_STATE_HOME/tutti/FLEET`, or below `~/.local/state`."""
+    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(base) / "tutti" / fleet
+
+
+def _say(line: str) -> None:
+    console.print(line, highlight=False, markup=False, soft_wrap=True)
