@@ -1,0 +1,53 @@
+"""Stopping a controller over a link of its own, in place of a driver that is dead."""
+
+import asyncio
+from dataclasses import dataclass
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.link.base import LinkClosed, LinkRefused, OpenLink
+
+TRY_NS = 2 * NS_PER_S
+PAUSE_NS = 20 * NS_PER_MS
+
+# How long to listen after the last byte is out. Answers are read before the link is closed: a socket that is closed
+# with unread bytes resets the connection, and may take the stop with it.
+LISTEN_NS = 150 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The stop was written at host time `written_ns`, at the `tries`-th try; `answer` came within a moment."""
+
+    written_ns: int
+    tries: int
+    answer: bytes
+
+
+async def last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> Stopped:
+    """Open a link, trying for `TRY_NS`, and write `data`. Raises `LinkRefused` or `LinkClosed`: the last reason."""
+    give_up_ns = clock.now_ns() + TRY_NS
+    tries = 0
+    while True:
+        tries += 1
+        try:
+            return await _write(open_link, data, clock, tries)
+        except (LinkRefused, LinkClosed):
+            if clock.now_ns() >= give_up_ns:
+                raise
+        await sleep_ns(clock, PAUSE_NS)
+
+
+async def _write(open_link: OpenLink, data: bytes, clock: Clock, tries: int) -> Stopped:
+    link = await open_link()
+    answer = b""
+    try:
+        written_ns = link.write(data)
+        try:
+            async with asyncio.timeout((len(data) * link.char_ns + LISTEN_NS) / NS_PER_S):
+                while True:
+                    answer += (await link.read()).data
+        except TimeoutError:
+            pass
+    finally:
+        await link.close()
+    return Stopped(written_ns, tries, answer)
