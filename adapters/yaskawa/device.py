@@ -1,0 +1,179 @@
+"""The controller behind its two handles: reached, identified, given its resident program, read in one record."""
+
+import asyncio
+from collections.abc import Iterable
+
+from adapters.contract import CannotDo, DriverFault, Identity
+from adapters.yaskawa.options import Options
+from adapters.yaskawa.program import VARIABLES, program
+from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
+from adapters.yaskawa.session import REVISION, Refused, Session, StopHandle
+from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.link.base import LinkClosed, OpenLink
+
+THREADS = 8  # L12258
+OWN_THREAD = 0
+
+
+class Device:
+    """One controller. Its commands and polls share one handle; stops have one of their own."""
+
+    def __init__(self, clock: Clock, open_link: OpenLink, options: Options, axes_needed: int) -> None:
+        self._clock = clock
+        self._open_link = open_link
+        self._options = options
+        self._axes_needed = axes_needed
+        self._session: Session | None = None
+        self._stops: StopHandle | None = None
+        self._format: RecordFormat | None = None
+        self._close_link = lambda: asyncio.sleep(0)
+        # It outlives the links: only so can a power cycle be told from a broken cable.
+        self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S)
+        self._restarted = False
+        self._must_reconnect = False
+
+    # Reaching it
+
+    async def connect(self) -> Identity:
+        """Open both handles, unload what an earlier client of ours left waiting, and install the program."""
+        await self.close()
+        self._must_reconnect = False
+        link = await self._open_link()
+        self._close_link = link.close
+        session = self._session = Session(link, self._options.timeout_s)
+        self._stops = StopHandle(await self._open_link())
+        # Messages of programs go to the serial port, not between our replies (L3556).
+        await session.tell("CFS")
+        revision = " ".join(await session.ask_all(REVISION))
+        self._format = RecordFormat.from_sizes((await session.ask("QZ")).lines[0])
+        if self._format.axes < self._axes_needed:
+            raise DriverFault(
+                "config-mismatch",
+                f"the fleet file uses motor {AXIS_LETTERS[self._axes_needed - 1]}; the controller has "
+                f"{self._format.axes} axes",
+                "correct `motors` in the fleet file, or the address of the controller",
+            )
+        await self._install_program()
+        (serial,), _ = await session.numbers("_BN")
+        await self._read_time()
+        model, _, firmware = revision.partition(" ")
+        return Identity(model=model, firmware=firmware or revision, serial=str(int(serial)))
+
+    async def close(self) -> None:
+        """Close both handles, and leave the controller as it is."""
+        session, self._session = self._session, None
+        stops, self._stops = self._stops, None
+        if stops is not None:
+            await stops.close()
+        if session is not None:
+            await self._close_link()
+
+    async def _install_program(self) -> None:
+        session, wanted = self.session, program(self.format.axes)
+        present = [line.rstrip() for line in await session.ask_all("UL")]
+        if present == list(wanted):
+            # Ours may still wait for a start that nobody will release any more.
+            await session.tell(f"HX{OWN_THREAD}")
+        else:
+            await self._require_replaceable(present)
+            try:
+                await session.download(wanted)
+            except Refused as refusal:
+                raise DriverFault(
+                    "program-refused",
+                    f"the controller does not take its program: {refusal}",
+                    "is its program memory locked (LC), or another port of it downloading?",
+                ) from None
+            if [line.rstrip() for line in await session.ask_all("UL")] != list(wanted):
+                raise DriverFault(
+                    "program-differs", "the program read back is not the one sent", "check the link; try again"
+                )
+        for name in VARIABLES:
+            await session.tell(f"{name}=0")
+
+    async def _require_replaceable(self, present: list[str]) -> None:
+        running, _ = await self.session.numbers(*(f"_HX{thread}" for thread in range(4)))
+        more, _ = await self.session.numbers(*(f"_HX{thread}" for thread in range(4, THREADS)))
+        threads = [str(thread) for thread, state in enumerate(running + more) if state]
+        if threads:
+            raise DriverFault(
+                "other-program",
+                f"another program runs in the controller (thread {', '.join(threads)})",
+                "stop it with HX, and its #AUTO start with it, if this controller belongs to the fleet",
+            )
+        if present and not self._options.replace_program:
+            raise DriverFault(
+                "other-program",
+                f"the controller holds another program of {len(present)} lines, and may not be given ours",
+                "save it, then set `replace_program: true` in the controller's options",
+            )
+
+    # Talking
+
+    @property
+    def session(self) -> Session:
+        """The handle for commands. Raises `LinkClosed` when there is none."""
+        if self._session is None:
+            raise LinkClosed("the controller is not connected")
+        return self._session
+
+    @property
+    def format(self) -> RecordFormat:
+        """The layout of the record, known since `connect`."""
+        if self._format is None:
+            raise LinkClosed("the controller is not connected")
+        return self._format
+
+    def all_letters(self) -> str:
+        """The controller's axes, as it writes them."""
+        return AXIS_LETTERS[: self.format.axes]
+
+    async def record(self) -> Record:
+        """Everything that changes, in one exchange."""
+        layout = self.format
+        answer = await self.session.ask_record(layout.command, layout.header, layout.length)
+        return layout.parse(answer.record, answer.sent_ns, answer.received_ns)
+
+    async def poll(self) -> tuple[Record, bool]:
+        """A record that also feeds the clock; and whether the controller was restarted since the last one."""
+        if self._stops is None or not self._stops.open:
+            raise LinkClosed("the controller has closed the handle for stops")
+        if self._must_reconnect:
+            # It lost its settings and maybe its program with its counter: begin again from `connect`.
+            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+        record = await self.record()
+        if not self.samples.take_low(record.sent_ns, record.received_ns, record.sample):
+            before = self._restarted
+            await self._read_time()
+            self._must_reconnect = self._restarted and not before
+        restarted, self._restarted = self._restarted, False
+        return record, restarted
+
+    async def _read_time(self) -> None:
+        (ticks,), answer = await self.session.numbers("TIME")
+        if not self.samples.take_whole(answer.sent_ns, answer.received_ns, int(ticks)):
+            self._restarted = True
+
+    async def read_back(self, command: str, axes: Iterable[int]) -> dict[int, int]:
+        """What `command` holds for axes, by index, whatever number format a person has set."""
+        indices = list(axes)
+        values, _ = await self.session.numbers(*(f"_{command}{AXIS_LETTERS[index]}" for index in indices))
+        return {index: int(value) for index, value in zip(indices, values, strict=True)}
+
+    def stop(self, abort: bool) -> None:
+        """Stop everything, now, without waiting for any reply."""
+        if self._stops is None:
+            raise CannotDo("offline", "the controller is not connected", "check power and cable")
+        self._stops.write(*stop_commands(abort))
+
+
+def stop_commands(abort: bool) -> tuple[str, ...]:
+    """What stops all axes and keeps the waiting program from starting any.
+
+    Motion first, then the program, and motion again: the program may have begun between the two. ST without letters
+    stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
+    """
+    if abort:
+        return ("AB", f"HX{OWN_THREAD}")
+    return ("ST", f"HX{OWN_THREAD}", "ST")

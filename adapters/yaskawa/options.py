@@ -1,0 +1,35 @@
+"""What `options:` of a controller may say in the fleet file, for controllers of this dialect."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from orchestrator.model.base import Id, Model
+
+Microseconds = Annotated[int, Field(ge=0, le=1_000_000)]
+
+
+class Options(Model):
+    """Options of an SMC-4000. Times are the firmware's own; the manual gives only "about 0.5 ms" a command (L1626)."""
+
+    timeout_s: float = Field(default=1.0, gt=0, le=60, description="A reply that takes longer is a fault, s.")
+    replace_program: bool = Field(
+        default=True, description="Replace another program in the controller, when none is running."
+    )
+    servo_period_us: int = Field(
+        default=1000, ge=250, le=20000, description="TM as the unit is set up; 1000 means 1/1024 s (L10619)."
+    )
+    decode_us: Microseconds = Field(default=500, description="From a command's last character to its effect, µs.")
+    begin_min_us: Microseconds = Field(
+        default=250, description="From the sample that ends the wait to BG's effect, at least, µs."
+    )
+    begin_max_us: Microseconds = Field(default=1500, description="The same, at the most, µs.")
+    round_trip_us: Microseconds = Field(
+        default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
+    )
+    lead_s: float = Field(
+        default=4.0, gt=0, le=60, description="Time from arming to the start that the clock's drift is budgeted for, s."
+    )
+    motor_type: dict[Id, float] = Field(
+        default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."
+    )

@@ -1,0 +1,105 @@
+"""The binary data record (QR): state of inputs, outputs and all axes, stamped with the sample that it was taken in.
+
+Sizes come from QZ, because firmware differs in them (L8983-9104); positions within a block are the manual's
+(L8697-8919) with the item sizes of section L8969-8973. Little endian.
+"""
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from adapters.contract import DriverFault
+
+AXIS_LETTERS = "XYZW"
+RECORD_LETTERS = "ABCD"  # the same axes, as QR names them
+
+_GENERAL = "H10s10sBB"  # sample number, inputs, outputs, error code, general status
+_AXIS = "HBBiiiiih"  # status, switches, stop code, reference, motor, error, auxiliary, velocity, torque
+_GENERAL_BYTES = struct.calcsize("<" + _GENERAL)
+_AXIS_BYTES = struct.calcsize("<" + _AXIS)
+_AXIS_FIELDS = 9
+VELOCITY_SCALE = 64.0  # the record's velocity is 64 times TV
+
+# Axis status (L9017-9076) and switches (L8998-9015)
+MOVING = 1 << 15
+OFF_ON_ERROR = 1 << 1
+MOTOR_OFF = 1 << 0
+FORWARD_SWITCH = 1 << 3
+REVERSE_SWITCH = 1 << 2
+PROGRAM_RUNS = 1 << 7
+
+
+class AxisRecord(NamedTuple):
+    """One axis's block. Positions in counts; velocity in counts/s times 64."""
+
+    status: int
+    switches: int
+    stop_code: int
+    commanded: int
+    actual: int
+    error: int
+    auxiliary: int
+    velocity: int
+    torque: int
+
+    @property
+    def moving(self) -> bool:
+        return bool(self.status & MOVING)
+
+    @property
+    def enabled(self) -> bool:
+        return not self.status & MOTOR_OFF
+
+
+class Record(NamedTuple):
+    """One data record. inputs, outputs: bit 0 is number 1."""
+
+    sample: int
+    inputs: int
+    outputs: int
+    program_runs: bool
+    axes: tuple[AxisRecord, ...]
+    sent_ns: int
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecordFormat:
+    """How this controller's record for all its axes is asked for and laid out."""
+
+    axes: int
+    command: str
+    header: bytes
+    length: int
+    layout: struct.Struct
+
+    @classmethod
+    def from_sizes(cls, line: str) -> "RecordFormat":
+        """From the reply to QZ: axes, bytes of the general, coordinate and axis blocks."""
+        fields = [field.strip() for field in line.split(",")]
+        sizes = [int(field) for field in fields if field.isdigit()]
+        if len(sizes) != 4 or not 1 <= sizes[0] <= 4 or sizes[1] < _GENERAL_BYTES or sizes[3] < _AXIS_BYTES:
+            raise DriverFault(
+                "garbage",
+                f"after 'QZ' expected axes 1..4 and block sizes of at least {_GENERAL_BYTES}, ., {_AXIS_BYTES}, "
+                f"got {line!r}",
+                "is this an SMC-4000?",
+            )
+        axes, general, _, axis = sizes
+        length = 4 + general + axes * axis
+        mask = 0x8000 | 0x0400 | ((1 << axes) - 1)  # L8921-8966: always set, I block, axes
+        layout = f"<4x{_GENERAL}{general - _GENERAL_BYTES}x" + f"{_AXIS}{axis - _AXIS_BYTES}x" * axes
+        return cls(
+            axes,
+            f"QR {RECORD_LETTERS[:axes]}I",
+            struct.pack("<HH", mask, length),
+            length,
+            struct.Struct(layout),
+        )
+
+    def parse(self, data: bytes, sent_ns: int, received_ns: int) -> Record:
+        values = self.layout.unpack(data)
+        axes = tuple(
+            AxisRecord(*values[at : at + _AXIS_FIELDS]) for at in range(5, 5 + self.axes * _AXIS_FIELDS, _AXIS_FIELDS)
+        )
+        return Record(values[0], values[1][0], values[2][0], bool(values[4] & PROGRAM_RUNS), axes, sent_ns, received_ns)

@@ -1,0 +1,57 @@
+"""What the unit itself holds: read back, loaded where the fleet file says so, refused where it must not be changed."""
+
+from collections.abc import Mapping
+
+from adapters.contract import DriverFault
+from adapters.yaskawa.device import Device
+from adapters.yaskawa.options import Options
+from adapters.yaskawa.record import AXIS_LETTERS
+from orchestrator.model.fleet import Controller
+
+POSITION_ERROR_MAX = 32767  # counts (L4962)
+
+
+async def configure(device: Device, config: Controller, options: Options, motors: Mapping[str, int]) -> None:
+    """Raises `DriverFault` of code `config-mismatch` with item, found and wanted value."""
+    (period,), _ = await device.session.numbers("_TM")
+    if int(period) != options.servo_period_us:
+        raise _mismatch("servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)")
+    for name, index in motors.items():
+        await _axis(device, config, options, name, index)
+
+
+async def _axis(device: Device, config: Controller, options: Options, name: str, index: int) -> None:
+    letter, axis, session = AXIS_LETTERS[index], config.axes[name], device.session
+    (smoothing, motor_type), _ = await session.numbers(f"_IT{letter}", f"_MT{letter}")
+    if smoothing != 1.0:
+        # It lengthens every move by a time that no document gives (L6316-6362).
+        raise _mismatch(f"smoothing (IT{letter})", f"{smoothing:g}", "1", f"set IT{letter}=1 and burn it (BN)", name)
+    wanted_type = options.motor_type.get(name)
+    if wanted_type is not None and motor_type != wanted_type:
+        raise _mismatch(
+            f"motor type (MT{letter})", f"{motor_type:g}", f"{wanted_type:g}", "check jumpers and option", name
+        )
+    limits = axis.soft_limits_counts
+    wanted: dict[str, int] = {}
+    if limits is not None:
+        wanted |= {"BL": limits[0], "FL": limits[1]}
+    if axis.following_error is not None:
+        wanted["ER"] = round(axis.following_error * float(axis.scale))
+        if not 1 <= wanted["ER"] <= POSITION_ERROR_MAX:
+            raise _mismatch(
+                f"following error (ER{letter})",
+                f"{wanted['ER']} counts in the fleet file",
+                f"1..{POSITION_ERROR_MAX}",
+                "correct `following_error` in the fleet file",
+                name,
+            )
+    for command, value in wanted.items():
+        await session.tell(f"{command}{letter}={value}")
+        held = (await device.read_back(command, [index]))[index]
+        if held != value:
+            raise _mismatch(f"{command}{letter}", str(held), str(value), "does the unit take this value?", name)
+
+
+def _mismatch(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> DriverFault:
+    where = f"axis {axis}: " if axis else ""
+    return DriverFault("config-mismatch", f"{where}{item} is {found}, wanted {wanted}", remedy, axis)

@@ -1,0 +1,283 @@
+"""The SMC-4000: driver, and what the fleet file may say about it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from pydantic import BaseModel, ValidationError
+
+from adapters.contract import (
+    AxisReading,
+    CannotDo,
+    Capabilities,
+    Driver,
+    Identity,
+    Lowered,
+    Outcome,
+    Reading,
+    Setup,
+    Span,
+)
+from adapters.yaskawa import homing
+from adapters.yaskawa.device import Device, stop_commands
+from adapters.yaskawa.lowering import LoweredMoves, lower_moves
+from adapters.yaskawa.options import Options
+from adapters.yaskawa.program import GATE_TICKS
+from adapters.yaskawa.record import (
+    AXIS_LETTERS,
+    FORWARD_SWITCH,
+    OFF_ON_ERROR,
+    RECORD_LETTERS,
+    REVERSE_SWITCH,
+    VELOCITY_SCALE,
+    AxisRecord,
+    Record,
+)
+from adapters.yaskawa.session import MAX_LINE
+from adapters.yaskawa.settings import configure
+from adapters.yaskawa.start import Start
+from adapters.yaskawa.words import STOP_CODES
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.fleet import Controller, TcpLink
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs, Fault
+
+POINTS = 8  # inputs, outputs (L390, L470)
+ARM_EXCHANGES = 18
+DISARM_EXCHANGES = 4
+GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
+WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
+
+_LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
+    (False, False): "none",
+    (True, False): "forward",
+    (False, True): "reverse",
+    (True, True): "both",
+}
+_BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
+
+
+def motor_indices(config: Controller) -> dict[str, int]:
+    """By axis of the fleet file, the index of its motor. Raises `ValueError`."""
+    motors: dict[str, int] = {}
+    for name, axis in config.axes.items():
+        letter = axis.motors[0]
+        index = max(AXIS_LETTERS.find(letter), RECORD_LETTERS.find(letter)) if len(letter) == 1 else -1
+        if index < 0:
+            raise ValueError(f"axes.{name}.motors: there is no motor {letter!r}; motors are X, Y, Z, W (or A, B, C, D)")
+        if index in motors.values():
+            raise ValueError(f"axes.{name}.motors: {letter} is the motor of another axis under its other name")
+        motors[name] = index
+    return motors
+
+
+class SMC4000Driver(Driver):
+    """One SMC-4000."""
+
+    def __init__(self, setup: Setup) -> None:
+        options = Options.model_validate(setup.options.model_dump())
+        self._config = setup.config
+        self._options = options
+        self._clock = setup.clock
+        self._motors = motor_indices(setup.config)
+        self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1)
+        self._start = Start(self._device, setup.clock, options, setup.config)
+        # The level of the limit bits at rest: it depends on how the switches are configured (L10906-10939).
+        self._open_switches: dict[str, int] = {}
+        self._capabilities = self._work_out_capabilities()
+
+    # Reaching it
+
+    async def connect(self) -> Identity:
+        self._start.forget()
+        return await self._device.connect()
+
+    async def configure(self) -> None:
+        await configure(self._device, self._config, self._options, self._motors)
+        record = await self._device.record()
+        for name, index in self._motors.items():
+            letter, switches = AXIS_LETTERS[index], record.axes[index].switches
+            (forward_free, reverse_free), _ = await self._device.session.numbers(f"_LF{letter}", f"_LR{letter}")
+            pressed = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
+            self._open_switches[name] = (switches ^ pressed) & (FORWARD_SWITCH | REVERSE_SWITCH)
+
+    async def close(self) -> None:
+        await self._device.close()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self._capabilities
+
+    def _work_out_capabilities(self) -> Capabilities:
+        exchange_ns = (self._options.decode_us + self._options.round_trip_us) * NS_PER_US
+        ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
+        costs = Costs(
+            arm_ns=ARM_EXCHANGES * exchange_ns,
+            # The gate is decided before the quiet time, and a release must reach it by then.
+            disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
+            stop_ns=round(ramp_s * NS_PER_S) + 3 * exchange_ns,
+        )
+        return Capabilities(start_classes=("clock",), orders=(2,), independent_axes=False, costs=costs)
+
+    # Reading it
+
+    async def poll(self) -> Reading:
+        record, restarted = await self._device.poll()
+        axes = {name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()}
+        return Reading(
+            at_ns=record.received_ns,
+            axes=axes,
+            inputs=_BITS[record.inputs],
+            outputs=_BITS[record.outputs],
+            faults=await self._faults(record),
+            restarted=restarted,
+        )
+
+    def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
+        closed = axis.switches ^ self._open_switches.get(name, axis.switches)
+        return AxisReading(
+            commanded_counts=axis.commanded,
+            actual_counts=axis.actual,
+            velocity_counts_s=axis.velocity / VELOCITY_SCALE,
+            moving=axis.moving,
+            enabled=axis.enabled,
+            limit=_LIMIT[bool(closed & FORWARD_SWITCH), bool(closed & REVERSE_SWITCH)],
+        )
+
+    async def _faults(self, record: Record) -> Sequence[Fault]:
+        faults: list[Fault] = []
+        aborted = False
+        for name, index in self._motors.items():
+            axis = record.axes[index]
+            if axis.status & OFF_ON_ERROR and not axis.enabled:
+                words = STOP_CODES[8]
+                faults.append(Fault(code=words.code, text=f"axis {name} {words.text}", remedy=words.remedy, axis=name))
+            aborted |= axis.stop_code == 6
+        if aborted:
+            # The stop code stays until the next move; the input itself says whether it is still so.
+            (free,), _ = await self._device.session.numbers("_AB")
+            if not free:
+                words = STOP_CODES[6]
+                faults.append(Fault(code=words.code, text="the abort input is active", remedy=words.remedy))
+        return faults
+
+    def mapping(self) -> TickMapping | None:
+        return self._device.samples.mapping()
+
+    # A step
+
+    def lower(
+        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
+    ) -> Lowered:
+        return lower_moves(
+            self._config, self._motors, self._options, self._capabilities.costs, profiles, start, mapping
+        )
+
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        if not isinstance(lowered, LoweredMoves):
+            raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
+        return await self._start.arm(lowered, t0_ns, mapping)
+
+    async def verify(self) -> None:
+        await self._start.verify()
+
+    async def go(self) -> None:
+        await self._start.go()
+
+    async def disarm(self) -> None:
+        await self._start.disarm()
+
+    async def started(self) -> Mapping[str, Span]:
+        return await self._start.started()
+
+    async def outcome(self) -> Outcome:
+        return await self._start.outcome()
+
+    async def stop(self, abort: bool) -> None:
+        self._device.stop(abort)
+
+    # Everything else
+
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        letters = "".join(AXIS_LETTERS[self._motors[name]] for name in axes)
+        await self._device.session.tell(("SH" if on else "MO") + letters)
+        record = await self._device.record()
+        for name in axes:
+            if record.axes[self._motors[name]].enabled != on:
+                raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
+
+    async def home(self, axes: Sequence[str]) -> None:
+        await homing.home(
+            self._device, self._clock, [(name, self._motors[name], self._config.axes[name]) for name in axes]
+        )
+
+    async def set_output(self, number: int, on: bool) -> None:
+        await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")
+
+    async def clear_faults(self) -> None:
+        # Reading the error code clears it (L10257); all else that a fault leaves behind is cleared by enabling.
+        await self._device.session.ask("TC")
+
+    async def raw(self, command: str) -> str:
+        text = command.strip()
+        if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
+            raise CannotDo("bad-line", f"a line has at most {MAX_LINE} printable ASCII characters", "shorten it")
+        if any(part.strip()[:2] in (*WAITS_FOR_MORE, "QR") for part in text.split(";")):
+            raise CannotDo("not-by-raw", f"{text[:2]} is no exchange of a line for a line", "use a terminal for it")
+        try:
+            replies = [await self._device.session.ask_all(part) for part in _commands(text)]
+        except CannotDo as refusal:
+            return f"? {refusal}"
+        return "\n".join(line for lines in replies for line in lines)
+
+
+def _commands(line: str) -> list[str]:
+    """The commands of a line: parted by semicolons outside quotes."""
+    parts, quoted = [""], False
+    for character in line:
+        quoted ^= character == '"'
+        if character == ";" and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+class SMC4000Make:
+    """The make as the entry point names it."""
+
+    name = "smc4000"
+    options: type[BaseModel] = Options
+
+    def check(self, config: Controller) -> None:
+        if not isinstance(config.link, TcpLink):
+            raise ValueError(f"link.kind: {config.link.kind}; an SMC-4000 is reached by `kind: tcp`")
+        motors = motor_indices(config)
+        for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
+            for name, point in points.items():
+                if point.number > POINTS:
+                    raise ValueError(f"{kind}.{name}.number: {point.number}; the unit has {kind} 1 to {POINTS}")
+        for name, axis in config.axes.items():
+            if axis.homing.method not in homing.METHODS:
+                raise ValueError(
+                    f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
+                )
+        try:
+            options = Options.model_validate(config.options)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise ValueError(f"options.{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        unknown = [name for name in options.motor_type if name not in motors]
+        if unknown:
+            raise ValueError(f"options.motor_type: no axis {unknown[0]}; axes are {', '.join(motors)}")
+
+    def driver(self, setup: Setup) -> Driver:
+        return SMC4000Driver(setup)
+
+    def stop_bytes(self, config: Controller) -> bytes:
+        # A fresh connection has a line buffer of its own: nothing half-typed is before these.
+        del config
+        return "".join(f"{command}\r" for command in stop_commands(False)).encode("ascii")
+
+
+MAKE = SMC4000Make()

@@ -1,0 +1,276 @@
+"""A start at a sample: loaded, let through the gate, watched, and known by the program's own evidence."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from adapters.contract import CannotDo, DriverFault, Outcome, Span
+from adapters.yaskawa.device import OWN_THREAD, Device
+from adapters.yaskawa.lowering import AxisMove, LoweredMoves, begin_ticks, move_commands
+from adapters.yaskawa.options import Options
+from adapters.yaskawa.program import GATE_SEEN_TICKS, GATE_TICKS, entry
+from adapters.yaskawa.record import AXIS_LETTERS, Record
+from adapters.yaskawa.words import stop_words
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.fleet import Controller
+
+TICKS_MAX = 2_147_483_647  # L10613
+STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
+EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
+WATCH_NS = 100 * NS_PER_MS
+SETTLE_NS = 5 * NS_PER_MS
+
+
+@dataclass(slots=True)
+class _Loaded:
+    """What is loaded. ticks: XT0. started: by axis, once known."""
+
+    lowered: LoweredMoves
+    ticks: int
+    t0_ns: int
+    mapping: TickMapping
+    started: dict[str, Span]
+
+
+class Start:
+    """The one move that the resident program can hold."""
+
+    def __init__(self, device: Device, clock: Clock, options: Options, config: Controller) -> None:
+        self._device = device
+        self._clock = clock
+        self._options = options
+        self._config = config
+        self._loaded: _Loaded | None = None
+
+    # Before T0
+
+    async def arm(self, lowered: LoweredMoves, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the registers, read them back, and let the program wait behind its gate."""
+        if mapping is None:
+            raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
+        if mapping.bound_at_ns(t0_ns) > lowered.drift_bound_ns:
+            raise CannotDo(
+                "clock-drift",
+                f"the start is {(t0_ns - mapping.host_at_ns) * 1e-9:.1f} s ahead; by then the clock may be off by more "
+                f"than the {lowered.drift_bound_ns * 1e-6:.3f} ms that were promised",
+                "start sooner, or raise the controller's option lead_s",
+            )
+        began_ns = self._clock.now_ns()
+        first, _ = begin_ticks(self._options, mapping.tick_ns)
+        ticks = round(mapping.ticks(t0_ns)) - first
+        if ticks > TICKS_MAX:
+            raise CannotDo("counter-full", "the sample counter ends before the start", "restart the controller")
+        if mapping.ticks(began_ns) > ticks - STILL_TO_COME:
+            raise CannotDo("late", "T0 is too near to arm", "give more lead time")
+        loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
+        self._require_ready(await self._device.record(), lowered)
+        session = self._device.session
+        checked_ns = self._clock.now_ns()
+        for command in move_commands(lowered.moves):
+            await session.tell(command)
+        wired_ns = self._clock.now_ns()
+        await self._read_back(lowered)
+        await session.tell("XGO=0")
+        await session.tell("XARM=0")
+        await session.tell(f"XT0={ticks}")
+        read_ns = self._clock.now_ns()
+        await session.tell(f"XQ {entry(lowered.mask)},{OWN_THREAD}")
+        self._loaded = loaded
+        await self._wait_for_program(loaded)
+        done_ns = self._clock.now_ns()
+        return {
+            "check": checked_ns - began_ns,
+            "wire": wired_ns - checked_ns,
+            "verify": read_ns - wired_ns,
+            "arm": done_ns - read_ns,
+        }
+
+    async def _read_back(self, lowered: LoweredMoves) -> None:
+        moves = [move for move in lowered.moves if move.shape.samples]
+        for command, wanted in (
+            ("SP", {move.index: move.shape.speed for move in moves}),
+            ("AC", {move.index: move.shape.ramp for move in moves}),
+            ("DC", {move.index: move.shape.ramp for move in moves}),
+        ):
+            if wanted:
+                held = await self._device.read_back(command, wanted)
+                if held != wanted:
+                    raise CannotDo("read-back", f"{command} reads back as {held}, not {wanted}", "try again")
+
+    async def _wait_for_program(self, loaded: _Loaded) -> None:
+        while True:
+            (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{OWN_THREAD}", "XLATE")
+            if not running:
+                raise CannotDo("not-armed", "the waiting program has ended by itself", "look at TC1; try again")
+            if int(armed) == loaded.ticks and not late:
+                return
+            if self._clock.now_ns() > loaded.t0_ns:
+                raise CannotDo("late", "T0 has come while arming", "give more lead time")
+
+    def _require_ready(self, record: Record, lowered: LoweredMoves) -> None:
+        for move in lowered.moves:
+            axis = record.axes[move.index]
+            if axis.moving:
+                raise CannotDo("moving", f"axis {move.axis} is moving", "wait, or stop it")
+            if not axis.enabled:
+                raise CannotDo("not-enabled", f"axis {move.axis} is not enabled", f"enable {move.axis} first")
+            if axis.commanded != move.start:
+                raise CannotDo(
+                    "other-start",
+                    f"axis {move.axis} stands at {axis.commanded} counts; the plan starts at {move.start}",
+                    "plan again from where it stands",
+                )
+
+    async def verify(self) -> None:
+        """Just before the promise."""
+        loaded = self._require_loaded()
+        self._require_ready(await self._device.record(), loaded.lowered)
+        (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{OWN_THREAD}", "XLATE")
+        if late:
+            raise CannotDo("late", "the gate is shut already", "give more lead time")
+        if not running or int(armed) != loaded.ticks:
+            raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+
+    async def go(self) -> None:
+        """Open the gate, and see that the program went through."""
+        loaded, session = self._require_loaded(), self._device.session
+        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - STILL_TO_COME:
+            raise CannotDo("late", "it is too late to release the start", "give more lead time")
+        await session.tell("XGO=1")
+        while True:
+            (passed, late, running), _ = await session.numbers("XOK", "XLATE", f"_HX{OWN_THREAD}")
+            if late:
+                raise CannotDo("late", "the gate was shut before the release came", "give more lead time")
+            if not running:
+                raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+            if passed:
+                return
+            await sleep_ns(self._clock, round(GATE_SEEN_TICKS * loaded.mapping.tick_ns / 4))
+
+    async def disarm(self) -> None:
+        """Nothing starts from the program, now or later."""
+        self._loaded = None
+        session = self._device.session
+        await session.tell(f"HX{OWN_THREAD}")
+        await session.tell("XGO=0")
+        (running,), _ = await session.numbers(f"_HX{OWN_THREAD}")
+        if running:
+            raise DriverFault("not-halted", "the waiting program does not halt", "reset the controller")
+
+    def forget(self) -> None:
+        """What was loaded is not, any more."""
+        self._loaded = None
+
+    def _require_loaded(self) -> _Loaded:
+        if self._loaded is None:
+            raise CannotDo("not-armed", "nothing is loaded", "arm it")
+        return self._loaded
+
+    # After T0
+
+    async def started(self) -> Mapping[str, Span]:
+        """When the axes began.
+
+        BG took effect before XACT was read and after XT0 had come, and the command between the two takes less than
+        a sample: so it was in sample XACT or the one before it, and the profile's origin is a sample from the one that
+        BG fell into to the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge as far off
+        as the clock mapping may be.
+        """
+        loaded = self._require_loaded()
+        mapping = loaded.mapping
+        _, last = begin_ticks(self._options, mapping.tick_ns)
+        await sleep_until_ns(self._clock, mapping.host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns))
+        while True:
+            (acted, late, running), _ = await self._device.session.numbers("XACT", "XLATE", f"_HX{OWN_THREAD}")
+            if late:
+                raise DriverFault("late", "the gate was shut before the release came; nothing started", "try again")
+            if acted:
+                break
+            if not running or self._clock.now_ns() > loaded.t0_ns + EVIDENCE_WAIT_NS:
+                words = (await self._device.session.ask("TC1")).lines[0]
+                raise DriverFault("not-started", f"the controller did not start; its last error: {words}", "try again")
+            await sleep_ns(self._clock, SETTLE_NS)
+        bound_ns = mapping.bound_at_ns(loaded.t0_ns)
+        span = Span(
+            mapping.host_ns(max(int(acted) - 1, loaded.ticks)) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns
+        )
+        loaded.started = dict.fromkeys((move.axis for move in loaded.lowered.moves), span)
+        return loaded.started
+
+    async def outcome(self) -> Outcome:
+        """Watch until no axis of the step moves, then say how it ended."""
+        loaded = self._require_loaded()
+        moves = loaded.lowered.moves
+        seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in moves}
+        ended: dict[str, Span] = {}
+        end_ns = loaded.t0_ns + max(round(s * 1e9) for s in loaded.lowered.durations_s.values())
+        while True:
+            record = await self._device.record()
+            for move in moves:
+                if record.axes[move.index].moving:
+                    seen_ns[move.axis] = record.sent_ns
+                elif move.axis not in ended:
+                    ended[move.axis] = Span(seen_ns[move.axis], record.received_ns)
+            if len(ended) == len(moves):
+                break
+            left_ns = end_ns + SETTLE_NS - self._clock.now_ns()
+            await sleep_ns(self._clock, min(WATCH_NS, left_ns) if left_ns > 0 else SETTLE_NS)
+        reasons = {move.axis: self._reason(move, record) for move in moves}
+        states = {state for state, _ in reasons.values()}
+        if states == {"done"}:
+            await self._refine(loaded, ended)
+            for move in moves:
+                if self._config.axes[move.axis].done == "in_position":
+                    reason = await self._wait_in_position(move)
+                    if reason:
+                        return Outcome("fault", ended, reason)
+            return Outcome("done", ended)
+        text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")
+        return Outcome("fault" if "fault" in states else "stopped", ended, text)
+
+    def _reason(self, move: AxisMove, record: Record) -> tuple[str, str]:
+        if not move.shape.samples:
+            return "done", ""
+        axis = record.axes[move.index]
+        code = stop_words(axis.stop_code)
+        if code.state == "done" and axis.commanded != move.end:
+            return "fault", f"stands at {axis.commanded} counts, not at {move.end}"
+        return code.state, code.text
+
+    async def _refine(self, loaded: _Loaded, ended: dict[str, Span]) -> None:
+        """Narrow the ends by the program's own stamps.
+
+        XEn is read after AM of axis n has let go: the axis had ended by then, but an axis that AM came to late may
+        have ended long before. It can not have ended before its profile was through, counted from its start.
+        """
+        moves = loaded.lowered.moves
+        stamps, _ = await self._device.session.numbers("XDONE", *(f"XE{move.index + 1}" for move in moves))
+        mapping = self._device.samples.mapping() or loaded.mapping
+        if not stamps[0]:
+            return
+        for move, stamp in zip(moves, stamps[1:], strict=True):
+            start, seen = loaded.started[move.axis], ended[move.axis]
+            if not move.shape.samples:
+                ended[move.axis] = start
+                continue
+            by_ns = mapping.host_ns(int(stamp) + 1)
+            not_before_ns = start.earliest_ns + round((move.shape.samples - 1) * mapping.tick_ns)
+            ended[move.axis] = Span(
+                max(seen.earliest_ns, not_before_ns),
+                min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)),
+            )
+
+    async def _wait_in_position(self, move: AxisMove) -> str:
+        axis = self._config.axes[move.axis]
+        window = (axis.in_position_window or 0.0) * float(axis.scale)
+        until_ns = self._clock.now_ns() + round(axis.in_position_timeout_s * 1e9)
+        while True:
+            off = (await self._device.record()).axes[move.index].actual - move.end
+            if abs(off) <= window:
+                return ""
+            if self._clock.now_ns() > until_ns:
+                letter = AXIS_LETTERS[move.index]
+                return (
+                    f"axis {move.axis} ({letter}) is {off} counts off its target after {axis.in_position_timeout_s:g} s"
+                )
+            await sleep_ns(self._clock, SETTLE_NS)

@@ -1,0 +1,77 @@
+"""The controller's sample counter (TIME) against the host's clock.
+
+Every record carries the low 16 bits of the counter; together with the last full reading they give the whole of it as
+long as records come at least twice in the 64 s in which those bits go round.
+"""
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.estimator import MAX_PPM, Sample, TickEstimator, TickMapping
+
+SAMPLES_PER_S = 1024  # at TM 1000 (L10619-10622)
+LONGEST_GAP_NS = 20 * NS_PER_S  # after this long, and this often, the whole counter is read
+REFRESH_NS = NS_PER_S  # a mapping stays good for far longer; its bound says how good
+
+
+class SampleClock:
+    """Learns the counter from readings and notices when it was set back."""
+
+    def __init__(self, tick_ns: float) -> None:
+        self.tick_ns = tick_ns
+        self._estimator = TickEstimator(tick_ns)
+        self._last: Sample | None = None
+        self._whole_ns = 0
+        self._mapping: TickMapping | None = None
+        self._mapping_ns = 0
+        self._taken = 0
+
+    def take_whole(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
+        """A reading of TIME. False when the counter did not go on from the last one: the controller was restarted."""
+        sample = Sample(sent_ns, received_ns, ticks)
+        went_on = self._fits(sample)
+        if not went_on:
+            self.forget()
+        self._whole_ns = received_ns
+        self._add(sample)
+        return went_on
+
+    def take_low(self, sent_ns: int, received_ns: int, low: int) -> bool:
+        """The low 16 bits. False when they need a whole reading beside them, now; then they are not used."""
+        last = self._last
+        if last is None or received_ns - self._whole_ns > LONGEST_GAP_NS:
+            return False
+        sample = Sample(sent_ns, received_ns, last.ticks + ((low - last.ticks) & 0xFFFF))
+        if not self._fits(sample):
+            return False
+        self._add(sample)
+        return True
+
+    def forget(self) -> None:
+        """The counter means something else from now on."""
+        self._estimator.forget()
+        self._last = None
+        self._mapping = None
+        self._taken = 0
+
+    def mapping(self) -> TickMapping | None:
+        """The present estimate; computed again when it is a second old, or still young and improving."""
+        last = self._last
+        if last is None:
+            return None
+        if self._mapping is None or self._taken <= 16 or last.received_ns - self._mapping_ns >= REFRESH_NS:
+            self._mapping = self._estimator.mapping()
+            self._mapping_ns = last.received_ns
+        return self._mapping
+
+    def _add(self, sample: Sample) -> None:
+        self._last = sample
+        self._taken += 1
+        self._estimator.add(sample)
+
+    def _fits(self, sample: Sample) -> bool:
+        last = self._last
+        if last is None:
+            return True
+        elapsed_ns = (sample.ticks - last.ticks) * self.tick_ns
+        longest_ns = sample.received_ns - last.sent_ns
+        slack_ns = 2 * self.tick_ns + longest_ns * MAX_PPM * 1e-6
+        return sample.sent_ns - last.received_ns - slack_ns <= elapsed_ns <= longest_ns + slack_ns
