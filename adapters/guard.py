@@ -45,6 +45,11 @@ def check_profiles(
 def check_limits(name: str, axis: Axis, profile: Profile) -> None:
     """Raises `CannotDo` when `profile` goes beyond soft limits, velocity or acceleration of `axis`."""
     scale = float(axis.scale)
+    counts, counts_s = profile.gap
+    if counts > 1.0 or counts_s > profile.peak_velocity * 1e-3:
+        raise CannotDo(
+            "bad-profile", f"axis {name}: the profile ends {counts:g} counts off its end, at {counts_s:g} /s"
+        )
     speed, rate = profile.peak_velocity / scale, profile.peak_acceleration / scale
     if speed > axis.limits.velocity * (1 + ROOM):
         raise CannotDo("velocity-limit", f"axis {name}: {speed:g} {axis.unit}/s is above its {axis.limits.velocity:g}")

@@ -245,7 +245,7 @@ class Fleet(Model):
     controllers: dict[Id, Controller] = Field(min_length=1)
     wiring: list[Wire] = Field(default=[])
     groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
-    home_order: list[str] = Field(default=[], description="Groups or axes, homed one after another.")
+    home_order: list[str] = Field(default=[], description="Groups, controllers or axes, homed one after another.")
 
     @field_validator("controllers")
     @classmethod
@@ -268,8 +268,7 @@ class Fleet(Model):
             for member in members:
                 self.axis(member)
         for entry in self.home_order:
-            if entry not in self.groups:
-                self.axis(entry)
+            self.expand(entry)
         for wire in self.wiring:
             self._point(wire.from_, "outputs")
             for end in wire.to:

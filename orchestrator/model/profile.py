@@ -113,11 +113,18 @@ class Profile:
         )
 
     @property
+    def gap(self) -> tuple[float, float]:
+        """How far its segments end from rest at `end_counts`: counts, counts/s. A sound profile has (0, 0)."""
+        segments = self.segments
+        last = segments[-1].at(segments[-1].duration_s) if segments else _STANDING
+        return abs(last.position - (self.end_counts - self.start_counts)), abs(last.velocity)
+
+    @property
     def extent_counts(self) -> tuple[float, float]:
         """The smallest and largest absolute position on the way, turning points inside segments included."""
         points = [0.0, float(self.end_counts - self.start_counts)]
         for each in self.segments:
-            points.append(each.position)
+            points += (each.position, each.at(each.duration_s).position)
             for root in _turning_points(each.velocity, each.acceleration, each.jerk):
                 if 0.0 < root < each.duration_s:
                     points.append(each.at(root).position)

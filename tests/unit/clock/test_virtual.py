@@ -1,0 +1,75 @@
+"""Virtual time: exact, deterministic, with processes that hang and die."""
+
+import asyncio
+
+import pytest
+
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.queue import EventQueue
+from orchestrator.clock.virtual import Process, VirtualClock, VirtualDeadlock, run_virtual
+
+
+def test_time_jumps_and_ties_run_in_order() -> None:
+    async def main(clock: VirtualClock) -> list[object]:
+        log: list[object] = []
+        for name in "abc":
+            clock.call_at_ns(3 * NS_PER_S, lambda name=name: log.append(name))
+        clock.call_at_ns(1, lambda: log.append(clock.now_ns()))
+        await asyncio.sleep(3600)
+        log.append(clock.now_ns())
+        return log
+
+    assert run_virtual(main) == [1, "a", "b", "c", 3600 * NS_PER_S]
+
+
+def test_a_frozen_process_catches_up_and_a_killed_one_never_runs_again() -> None:
+    async def main(clock: VirtualClock) -> list[object]:
+        log: list[object] = []
+        process = Process(clock.loop, "p")
+
+        async def beat() -> None:
+            try:
+                while True:
+                    await sleep_ns(clock, NS_PER_S)
+                    log.append(clock.now_ns() / NS_PER_S)
+            finally:
+                log.append("finally")
+
+        process.start(beat())
+        await asyncio.sleep(1.5)
+        process.freeze()
+        await asyncio.sleep(5)
+        process.resume()
+        await asyncio.sleep(1.2)
+        process.on_death(lambda: log.append("reaped"))
+        process.kill()
+        await asyncio.sleep(10)
+        return log
+
+    assert run_virtual(main) == [1.0, 6.5, 7.5, "reaped"]
+
+
+def test_deadlock_and_errors_end_the_run() -> None:
+    async def wait_for_ever(_: VirtualClock) -> None:
+        await asyncio.Event().wait()
+
+    with pytest.raises(VirtualDeadlock):
+        run_virtual(wait_for_ever)
+
+    async def lose_an_error(clock: VirtualClock) -> None:
+        clock.call_at_ns(5, lambda: 1 / 0)  # type: ignore[arg-type]
+        await asyncio.sleep(1)
+
+    with pytest.raises(ZeroDivisionError):
+        run_virtual(lose_an_error)
+
+
+def test_event_queue() -> None:
+    queue, log = EventQueue(), list[int]()
+    first = queue.call_at_ns(10, lambda: log.append(queue.now_ns()))
+    queue.call_at_ns(20, lambda: log.append(queue.now_ns()))
+    first.cancel()
+    queue.run_until_ns(100)
+    assert log == [20]
+    assert queue.now_ns() == 100
+    assert not queue.step()

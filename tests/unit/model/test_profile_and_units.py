@@ -1,0 +1,50 @@
+"""Units are exact, and profiles say what they do."""
+
+import random
+from fractions import Fraction
+
+import pytest
+
+from orchestrator.model.fleet import Axis, Limits, SoftLimits
+from orchestrator.model.profile import Profile
+from orchestrator.model.units import Unit, UnitError, parse_quantity
+
+
+def test_quantities_are_exact() -> None:
+    assert parse_quantity("12.5 um", Unit.MM) == Fraction(125, 10_000)
+    assert parse_quantity(0.1, Unit.MM) == Fraction(1, 10)
+    assert parse_quantity("1 in", Unit.MM) == Fraction(254, 10)
+    assert parse_quantity("-.5rev", Unit.DEG) == -180
+    with pytest.raises(UnitError, match="use one of: m, cm, mm, um, nm, in"):
+        parse_quantity("1 deg", Unit.MM)
+    with pytest.raises(UnitError, match="unknown unit 'parsec'"):
+        parse_quantity("1 parsec", Unit.MM)
+
+
+def test_soft_limits_round_inwards_whatever_the_sign() -> None:
+    axis = Axis(
+        motors=["X"],
+        unit=Unit.MM,
+        scale=Fraction(10, 3),
+        sign=-1,
+        limits=Limits(velocity=1, acceleration=1),
+        soft_limits=SoftLimits(min=0, max=1),
+    )
+    assert axis.soft_limits_counts == (-3, 0)
+
+
+def test_profile_reaches_its_extremes() -> None:
+    """A profile that turns back inside a segment shows its true extent and peaks."""
+    draw = random.Random(3)
+    for _ in range(100):
+        t = [draw.uniform(0.1, 1) for _ in range(4)]
+        a = [draw.uniform(-5, 5) for _ in range(4)]
+        j = [draw.uniform(-20, 20) for _ in range(4)]
+        profile = Profile(100, 100, draw.choice([-3.0, 7.0]), t, a, j)
+        at = profile.evaluator()
+        seen = [at(k * profile.duration_s / 5000) for k in range(5000)]
+        low, high = profile.extent_counts
+        assert min(p.position for p in seen) + 100 >= low - 1e-9
+        assert max(p.position for p in seen) + 100 <= high + 1e-9
+        assert abs(max(abs(p.velocity) for p in seen) - profile.peak_velocity) < 0.01 * profile.peak_velocity
+        assert max(abs(p.acceleration) for p in seen) <= profile.peak_acceleration + 1e-9
