@@ -1,7 +1,7 @@
 """The guardian: `python -m adapters.guardian` with the arguments of the adapter host that it starts and watches.
 
 When its child is dead or hung it kills it, stops the child's controllers over links of its own, and starts it again.
-It imports and does as little as it can, for it must not hang itself.
+It imports and does as little as it can, for it must not hang itself. The child's `ready` goes to its own stdout.
 """
 
 import argparse
@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from adapters.host import find_make
-from adapters.host_process import BAD_INPUT, BadInput, host_parser, line_sink, load_host, open_log
+from adapters.host_process import BAD_INPUT, BadInput, host_parser, load_host, open_sink
 from adapters.link.last_stop import last_stop
 from adapters.link.open import open_link
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
+from orchestrator.clock.parent import die_with_parent
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
@@ -36,7 +37,7 @@ BACKOFF_FIRST_S = 0.2
 BACKOFF_LONGEST_S = 5.0
 HEALTHY_NS = 30 * NS_PER_S
 KILL_S = 0.5
-END_S = 8.0  # for the child to end when it is asked to
+END_S = 5.0  # for the child to end when it is asked to
 
 
 class Silence:
@@ -186,11 +187,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Gives 0, or 2 with one line on stderr for bad input."""
     parser = host_parser("python -m adapters.guardian", "Starts an adapter host, watches it, and takes over from it.")
     parser.add_argument("--hung-ms", type=int, default=HUNG_MS, help="silence after which the host counts as hung")
+    parser.add_argument("--parent", type=int, help="end, with the host, when this parent process ends")
     chosen = parser.parse_args(arguments)
     try:
         _, controllers = load_host(chosen.fleet, chosen.host)
-        with open_log(chosen.log) as log:
-            asyncio.run(_run(chosen, controllers, line_sink(log)))
+        sink = open_sink(chosen.log)
+        if chosen.parent is not None:
+            die_with_parent(chosen.parent)
+        asyncio.run(_run(chosen, controllers, sink))
     except BadInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT

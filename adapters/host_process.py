@@ -2,7 +2,9 @@
 
 Under a guardian it writes a byte to `--beat-fd` every 50 ms from its event loop, so that a hung loop stops beating.
 When nobody reads that pipe any more the guardian is dead, and nobody would take over from this process: it stops its
-controllers and ends. That is preferred to a death signal of the kernel, which would leave them moving.
+controllers and ends. That is preferred to being killed with it, which would leave them moving.
+
+Prints `ready` when all its controllers are on the bus. Exit codes: 2 bad input, 3 no router.
 """
 
 import argparse
@@ -14,7 +16,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 from uuid import uuid4
 
 from adapters.firing_process import ProcessFirer
@@ -23,6 +25,7 @@ from adapters.link.open import open_link
 from adapters.store import FileStore
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
+from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
 from orchestrator.clock.live import LiveClock
@@ -31,7 +34,7 @@ from orchestrator.model.fleet import Controller, Fleet
 
 BEAT_S = 0.05
 STOP_S = 1.0  # for the stop orders to leave when it ends
-CLOSE_S = 3.0  # for links and bus to be left in order
+CLOSE_S = 2.0  # for links and bus to be left in order
 
 BAD_INPUT = 2
 NO_BUS = 3
@@ -77,27 +80,23 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
     return fleet, mine
 
 
-def open_log(path: Path | None) -> TextIO:
-    """Where log lines go. Raises `BadInput`."""
-    if path is None:
-        return sys.stderr
+def open_sink(path: Path | None) -> Sink:
+    """Where log lines go: the file, or stderr. Raises `BadInput`."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("a", encoding="utf-8", buffering=1)
+        write = file_sink(path) if path is not None else _to_stderr
     except OSError as error:
         raise BadInput(f"--log {path}: {error.strerror}") from None
 
-
-def line_sink(file: TextIO) -> Sink:
-    """Writes whole lines at once, so that the lines of guardian and child do not mix in one file."""
-
     def sink(line: str) -> None:
         # A full disk or a closed terminal must not stop what drives machines.
-        with contextlib.suppress(OSError, ValueError):
-            file.write(line + "\n")
-            file.flush()
+        with contextlib.suppress(OSError):
+            write(line)
 
     return sink
+
+
+def _to_stderr(line: str) -> None:
+    sys.stderr.write(line + "\n")
 
 
 class _Forward(logging.Handler):
@@ -139,8 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
-        with open_log(chosen.log) as log:
-            asyncio.run(_run(chosen, fleet, line_sink(log)))
+        asyncio.run(_run(chosen, fleet, open_sink(chosen.log)))
     except BadInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
@@ -176,6 +174,7 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
                 _Beat(chosen.beat_fd, orphaned)
             await host.start()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
+            _say_ready()
             await _first(ended, orphaned)
             reason = "the guardian is gone" if orphaned.is_set() else "the adapter host is ended"
             await _leave(host, log, reason)
@@ -183,6 +182,13 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
             firer.close()
     finally:
         await bus.close()
+
+
+def _say_ready() -> None:
+    """One line for those who have started it. A restarted one may find that nobody listens any more."""
+    with contextlib.suppress(OSError):
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
 
 
 async def _first(*events: asyncio.Event) -> None:

@@ -92,6 +92,7 @@ async def _serve(
 
 def _opened(path: Path) -> TextIO:
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("a", encoding="utf-8")
     except OSError as error:
         raise CannotStart(f"--truth: {path}: {error.strerror}") from None

@@ -1,0 +1,177 @@
+"""The guardian: a dead or hung adapter host costs its controllers a stop, and gets a successor."""
+
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from children import LIMIT_S, Children, ready, wait_until
+from fake_make import DRIVER_STOP, GUARDIAN_STOP
+
+from orchestrator.clock.live import raw_ns
+
+pytestmark = pytest.mark.live
+
+Entry = dict[str, Any]
+
+
+class FakeController:
+    """A socket that notes what it is told and when."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[int, bytes]] = []
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, _ = self._server.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._listen, args=(connection,), daemon=True).start()
+
+    def _listen(self, connection: socket.socket) -> None:
+        with connection:
+            try:
+                while data := connection.recv(1000):
+                    self.heard.append((raw_ns(), data))
+            except OSError:
+                pass
+
+    def said(self, data: bytes) -> int | None:
+        """When it was told `data`, if it was."""
+        return next((at_ns for at_ns, heard in self.heard if heard == data), None)
+
+    def close(self) -> None:
+        # A blocked accept is woken by shutdown only.
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+
+
+class Site:
+    """A router, a guardian with its host, and the log of both."""
+
+    def __init__(self, children: Children, ports: list[int]) -> None:
+        folder = children.folder
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        ready(children.start("orchestrator.bus.router_process", endpoint, str(os.getpid())))
+        axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}
+        controllers = {
+            f"c{number}": {
+                "adapter": "fake",
+                "link": {"kind": "tcp", "host": "127.0.0.1", "port": port},
+                "axes": {"x": axis},
+            }
+            for number, port in enumerate(ports)
+        }
+        fleet = folder / "fleet.json"
+        fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": controllers}))
+        self._log = folder / "log.jsonl"
+        arguments = ["--fleet", str(fleet), "--host", "local", "--connect", endpoint]
+        arguments += ["--state", str(folder / "state"), "--log", str(self._log)]
+        self.guardian = children.start("adapters.guardian", *arguments)
+        ready(self.guardian)
+        self.online(1)
+
+    def entries(self) -> list[Entry]:
+        """The log so far; a line may be half written."""
+        whole = self._log.read_text().rpartition("\n")[0]
+        return [json.loads(line) for line in whole.splitlines()]
+
+    def pids(self) -> list[int]:
+        return [entry["pid"] for entry in self.entries() if entry["text"] == "the adapter host is started"]
+
+    def online(self, times: int) -> None:
+        """Wait until the first controller was taken into service so many times."""
+
+        def is_online() -> bool:
+            shown = [each for each in self.entries() if each.get("kind") == "online" and each["controller"] == "c0"]
+            return len(shown) >= times
+
+        wait_until(is_online, f"c0 online {times} times")
+
+    def texts(self) -> list[str]:
+        return [entry["text"] for entry in self.entries()]
+
+
+@pytest.fixture
+def controllers() -> Any:
+    both = [FakeController(), FakeController()]
+    yield both
+    for controller in both:
+        controller.close()
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_lost_host_has_its_controllers_stopped_and_is_replaced(
+    how: signal.Signals, children: Children, controllers: list[FakeController], record_property: Callable[..., None]
+) -> None:
+    site = Site(children, [controller.port for controller in controllers])
+    lost_ns = raw_ns()
+    os.kill(site.pids()[0], how)
+    for controller in controllers:
+        wait_until(lambda controller=controller: controller.said(GUARDIAN_STOP) is not None, "the stop")
+    took_ms = [(stopped - lost_ns) / 1e6 for each in controllers if (stopped := each.said(GUARDIAN_STOP)) is not None]
+    record_property("stop_after_ms", took_ms)
+    if how == signal.SIGSTOP:
+        assert min(took_ms) > 200, "a host that beat just now was taken for hung"
+    assert max(took_ms) < 3000
+    assert all(controller.said(DRIVER_STOP) is None for controller in controllers)
+    site.online(2)
+    assert len(site.pids()) == 2
+
+
+def test_the_host_of_a_dead_guardian_stops_its_controllers_and_ends(
+    children: Children, controllers: list[FakeController]
+) -> None:
+    site = Site(children, [controllers[0].port])
+    site.guardian.kill()
+    wait_until(lambda: controllers[0].said(DRIVER_STOP) is not None, "the stop")
+    wait_until(lambda: not Path(f"/proc/{site.pids()[0]}").exists(), "the end of the host")
+    assert "the guardian is gone" in site.texts()
+
+
+def test_asked_to_end_it_ends_its_host_and_a_host_that_is_away_too_long_is_no_reason_to_stop_twice(
+    children: Children, controllers: list[FakeController]
+) -> None:
+    site = Site(children, [controllers[0].port])
+    site.guardian.terminate()
+    site.guardian.communicate(timeout=LIMIT_S)
+    assert site.guardian.returncode == 0
+    assert not Path(f"/proc/{site.pids()[0]}").exists()
+    assert controllers[0].said(DRIVER_STOP) is not None
+    assert controllers[0].said(GUARDIAN_STOP) is None
+
+
+@pytest.mark.parametrize("module", ["adapters.guardian", "adapters.host_process"])
+def test_bad_input_is_one_line_and_code_2(module: str, children: Children) -> None:
+    missing = str(children.folder / "missing.yaml")
+    wrong = ["--fleet", missing, "--host", "local", "--connect", "tcp/127.0.0.1:1", "--state", str(children.folder)]
+    process = children.start(module, *wrong)
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2
+    assert missing in said
+    assert said.count("\n") == 1
+
+
+def test_a_router_that_is_not_there_is_code_3(children: Children) -> None:
+    fleet = children.folder / "fleet.json"
+    axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}
+    one = {"adapter": "fake", "link": {"kind": "tcp", "host": "127.0.0.1", "port": 1}, "axes": {"x": axis}}
+    fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": {"c": one}}))
+    arguments = ["--fleet", str(fleet), "--host", "local", "--state", str(children.folder)]
+    process = children.start("adapters.host_process", *arguments, "--connect", "tcp/127.0.0.1:1")
+    begun_s = time.monotonic()
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 3
+    assert "no router answered" in said
+    assert time.monotonic() - begun_s < LIMIT_S
