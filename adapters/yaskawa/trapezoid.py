@@ -2,10 +2,11 @@
 
 The controller counts in samples. Its profile generator changes speed by AC/2^20 counts a sample each sample, up to
 SP/2^10 counts a sample, and ends at a whole sample (L2293, L10032, L12829-12837; the length in samples is that of the
-continuous trapezoid, rounded up). SP is even and AC a multiple of 1024, so both are searched together: first for the
-sample in which the move ends, then for the smallest distance to the plan. Neither goes beyond the axis's limits.
+continuous trapezoid, rounded up). SP is even and AC a multiple of 1024, so both are searched together: for the
+sample in which the move ends, and for the smallest distance to the plan. Neither goes beyond the axis's limits.
 """
 
+import heapq
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,10 @@ SPEED_UNIT = 1024.0  # register units per count/sample
 RAMP_UNIT = 1024.0 * 1024.0  # register units per count/sample²
 ROOM = 1e-6  # beyond a limit, relative: rounding of a plan that uses it to the full
 SYMMETRIC = 1e-6  # of the duration: how far the two ramps may differ
+NOTHING_S = 1e-9  # a shorter segment is one that the planner left empty
+# Ending late counts for the way that is made meanwhile, and as many times more: the end is what others wait for.
+LATE_WEIGHT = 10.0
+FINALISTS = 4  # candidates whose distance to the plan is worked out in full
 NEIGHBOURS = 6  # speeds on either side of the planned one, and ramps on either side of its own
 
 
@@ -79,25 +84,29 @@ def fit(name: str, profile: Profile, bounds: Bounds, tick_ns: float, servo_perio
             f"{RAMP_STEP} counts/s² at a servo period of {servo_period_us} µs",
             "raise the limits in the fleet file",
         )
-    best: Trapezoid | None = None
-    best_rank = (0, 0.0)
     wanted = max(1, round(planned))
-    for speed, ramp in _candidates(abs(distance), planned, planned_ramp, top_speed, top_ramp):
+    late_weight = LATE_WEIGHT * abs(distance) / (planned - planned_ramp)
+    ranked: list[tuple[float, int, int, int]] = []
+    for speed, ramp in _candidates(abs(distance), wanted, planned, planned_ramp, top_speed, top_ramp):
         samples = whole_samples(distance, speed, ramp)
-        if samples < wanted:
-            continue
-        rank = (samples, _way_off(abs(distance), planned, planned_ramp, speed, ramp))
-        if best is None or rank < best_rank:
-            best, best_rank = Trapezoid(distance, speed, ramp, samples, 0.0), rank
-    if best is None:
+        if samples >= wanted:
+            rank = late_weight * (samples - wanted) + _way_off(abs(distance), planned, planned_ramp, speed, ramp)
+            ranked.append((rank, speed, ramp, samples))
+    if not ranked:
         longest_s = continuous_samples(distance, SPEED_STEP, RAMP_STEP) * tick_s
         raise CannotDo(
             "too-slow",
             f"axis {name}: {abs(distance)} counts in {profile.duration_s:g} s are slower than the controller can move",
             f"at most {longest_s:.3f} s for this distance",
         )
-    error = path_error(profile, best, tick_s)
-    return Trapezoid(best.distance, best.speed, best.ramp, best.samples, error)
+    best, best_rank = None, math.inf
+    for _, speed, ramp, samples in heapq.nsmallest(FINALISTS, ranked):
+        move = Trapezoid(distance, speed, ramp, samples, path_error(profile, distance, speed, ramp, tick_s))
+        rank = late_weight * (samples - wanted) + move.path_error_counts
+        if best is None or rank < best_rank:
+            best, best_rank = move, rank
+    assert best is not None
+    return best
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
@@ -105,7 +114,7 @@ def _ramp_s(name: str, profile: Profile) -> float:
     pieces = [
         (t, a, j)
         for t, a, j in zip(profile.durations_s, profile.accelerations, profile.jerks, strict=False)
-        if t > SYMMETRIC * profile.duration_s
+        if t > NOTHING_S
     ]
     if any(j != 0.0 for _, _, j in pieces):
         raise CannotDo(
@@ -129,24 +138,34 @@ def _down(value: float, step: int, most: int) -> int:
     return min(int(value // step) * step, most)
 
 
-def _candidates(way: int, planned: float, planned_ramp: float, top_speed: int, top_ramp: int) -> "set[tuple[int, int]]":
-    """Registers worth a look, within the limits: near the plan's own, and pairs that last as long as it does."""
+def _candidates(
+    way: int, wanted: int, planned: float, planned_ramp: float, top_speed: int, top_ramp: int
+) -> set[tuple[int, int]]:
+    """Registers worth a look, within the limits: near the plan's own, and pairs that last as long as it does.
+
+    wanted: the sample in which the move should end; a continuous length a little above it would end in the next one.
+    """
+    length = min(planned, wanted)
     speeds = {_clip(speed, SPEED_STEP, top_speed) for speed in _around(way / (planned - planned_ramp), SPEED_STEP)}
     # The slowest speed that can still make the way in time, for plans below the finest steps.
     speeds |= {_clip(speed, SPEED_STEP, top_speed) for speed in _around(way / planned, SPEED_STEP)}
-    ramps = _around(way / ((planned - planned_ramp) * planned_ramp), RAMP_STEP)
-    pairs = {(speed, _clip(ramp, RAMP_STEP, top_ramp)) for speed in speeds for ramp in ramps}
+    ramps = {_clip(r, RAMP_STEP, top_ramp) for r in _around(way / ((planned - planned_ramp) * planned_ramp), RAMP_STEP)}
+    pairs: set[tuple[int, int]] = set()
     for speed in speeds:
+        pairs |= {(speed, min(ramps)), (speed, max(ramps))}
         v = speed / SPEED_UNIT
-        if planned * v > way:
-            for ramp in _beside(v / (planned - way / v) * RAMP_UNIT, RAMP_STEP):
+        if length * v > way:
+            for ramp in _beside(v / (length - way / v) * RAMP_UNIT, RAMP_STEP):
                 pairs.add((speed, _clip(ramp, RAMP_STEP, top_ramp)))
-    for ramp in {_clip(ramp, RAMP_STEP, top_ramp) for ramp in ramps}:
+    for ramp in ramps:
         a = ramp / RAMP_UNIT
-        root = (a * planned) ** 2 - 4.0 * a * way
+        root = (a * length) ** 2 - 4.0 * a * way
         if root >= 0.0:
-            for speed in _beside((a * planned - math.sqrt(root)) / 2.0 * SPEED_UNIT, SPEED_STEP):
+            for speed in _beside((a * length - math.sqrt(root)) / 2.0 * SPEED_UNIT, SPEED_STEP):
                 pairs.add((_clip(speed, SPEED_STEP, top_speed), ramp))
+        else:
+            # Even a triangle takes longer at this ramp: it is not cut short by a top speed.
+            pairs.add((top_speed, ramp))
     return pairs
 
 
@@ -157,9 +176,9 @@ def _around(per_sample: float, step: int) -> list[int]:
     return [(middle + k) * step for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
 
 
-def _beside(value: float, step: int) -> tuple[int, int]:
+def _beside(value: float, step: int) -> tuple[int, int, int]:
     low = int(min(value, 2.0**40) // step) * step
-    return low, low + step
+    return low, low + step, low + 2 * step
 
 
 def _clip(value: int, low: int, high: int) -> int:
@@ -179,17 +198,18 @@ def _way_off(way: int, planned: float, planned_ramp: float, speed: int, ramp: in
     def real_at(t: float) -> float:
         return a * t * t / 2 if t < reached else a * reached * (t - reached / 2)
 
-    return max(abs(planned_at(t) - real_at(t)) for t in (reached, planned_ramp))
+    # Both are symmetric: what lies behind the middle has been seen before it.
+    return max(abs(planned_at(t) - real_at(t)) for t in (min(reached, planned / 2), planned_ramp))
 
 
-def path_error(profile: Profile, move: Trapezoid, tick_s: float) -> float:
+def path_error(profile: Profile, distance: int, speed: int, register: int, tick_s: float) -> float:
     """Largest distance between plan and execution when both start together, in counts.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
-    way = abs(move.distance)
-    v, a = move.speed / SPEED_UNIT / tick_s, move.ramp / RAMP_UNIT / tick_s**2
+    way = abs(distance)
+    v, a = speed / SPEED_UNIT / tick_s, register / RAMP_UNIT / tick_s**2
     ramp = min(v / a, math.sqrt(way / a))
     top = a * ramp
     end = way / top + ramp
@@ -203,8 +223,8 @@ def path_error(profile: Profile, move: Trapezoid, tick_s: float) -> float:
         return way - a * left * left / 2 if left < ramp else top * (t - ramp / 2)
 
     planned_at = profile.evaluator()
-    sign = 1.0 if move.distance > 0 else -1.0
+    sign = 1.0 if distance > 0 else -1.0
     last = max(end, profile.duration_s)
     joints = [segment.start_s for segment in profile.segments] + [ramp, end - ramp, end, profile.duration_s]
-    joints += [last * k / 64 for k in range(65)]
+    joints += [last * k / 32 for k in range(33)]
     return 0.5 + max(abs(sign * real_at(t) - planned_at(t).position) for t in joints)
