@@ -43,8 +43,14 @@ class Process:
         return copy_context().run(within)
 
     def start(self, coroutine: Coroutine[Any, Any, T]) -> "asyncio.Task[T]":
-        """Run `coroutine` as a task of this process."""
-        return self.run(lambda: self._loop.create_task(coroutine))
+        """Run `coroutine` as a task of this process. An error that ends it ends the whole run."""
+        task: asyncio.Task[T] = self.run(lambda: self._loop.create_task(coroutine))
+        task.add_done_callback(self._ended)
+        return task
+
+    def _ended(self, task: "asyncio.Task[Any]") -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._loop.call_exception_handler({"message": f"{self.name} failed", "exception": error})
 
     def on_death(self, callback: Callable[[], None]) -> None:
         """What the kernel does when the process dies: close its sockets, drop its sessions."""

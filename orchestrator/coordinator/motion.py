@@ -101,14 +101,17 @@ class Motion:
         await on_state("planning", "")
         moving = await self._plan(job_id, job, index, step)
         if not moving.plan.profiles:
-            return StepReport(
-                index=index, do="move", name=step.name or "", state="done", reason="all are there already"
-            )
+            return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
         await self._propose(moving, job, step)
-        await self._arm_and_release(moving, job, step, on_state)
-        await on_state("running", "")
-        on_started(moving.t0_fleet_ns, moving.plan.duration_s)
-        report = await self._watch(moving, step)
+        # Events count from before the arming on: a stop may come at any moment.
+        unlisten = self._view.listen(moving.events.put_nowait)
+        try:
+            await self._arm_and_release(moving, job, step, on_state)
+            await on_state("running", "")
+            on_started(moving.t0_fleet_ns, moving.plan.duration_s)
+            report = await self._watch(moving, step)
+        finally:
+            unlisten()
         if report.state == "done":
             for axis, (exact, counts) in moving.resolved.exact.items():
                 self.targets.reached(axis, exact, counts)

@@ -97,10 +97,10 @@ class Profile:
 
     @property
     def peak_velocity(self) -> float:
-        """The largest speed, counts/s. It lies at a segment's start, or where the acceleration passes zero."""
+        """The largest speed, counts/s. It lies at a segment's ends, or where the acceleration passes zero."""
         speed = 0.0
         for each in self.segments:
-            speed = max(speed, abs(each.velocity))
+            speed = max(speed, abs(each.velocity), abs(each.at(each.duration_s).velocity))
             if each.jerk and 0.0 < -each.acceleration / each.jerk < each.duration_s:
                 speed = max(speed, abs(each.at(-each.acceleration / each.jerk).velocity))
         return speed

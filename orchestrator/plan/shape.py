@@ -54,6 +54,7 @@ class Bounds(NamedTuple):
 
 def trapezoid(distance: float, ramp_s: float, duration_s: float) -> Shape:
     """The symmetric trapezoid over `distance` in exactly `duration_s`, with ramps of `ramp_s` (<= duration/2)."""
+    ramp_s = min(ramp_s, duration_s / 2)  # a rounding above it would make the cruise negative
     cruise_s = duration_s - 2 * ramp_s
     rate = distance / (ramp_s + cruise_s) / ramp_s
     return Shape((ramp_s, cruise_s, ramp_s), (rate, 0.0, -rate), (0.0, 0.0, 0.0))

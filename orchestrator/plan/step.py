@@ -101,9 +101,7 @@ def _check_limits(moves: Sequence[AxisMove]) -> None:
     outside = [m for m in moves if m.soft_limits and not m.soft_limits[0] <= m.target_counts <= m.soft_limits[1]]
     for move in outside:
         low, high = move.soft_limits or (0, 0)
-        raise PlanError(
-            f"{move.axis}: would go to {move.target_counts} counts; its soft limits are {low} to {high} counts"
-        )
+        raise PlanError(f"{move.axis}: target {move.target_counts} counts is outside its soft limits {low} to {high}")
 
 
 def _question(moving: Sequence[AxisMove], speed: float) -> tuple[Bounds, Array]:
