@@ -1,0 +1,206 @@
+"""The driver of one SHRC-203."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from adapters.contract import (
+    CannotDo,
+    Capabilities,
+    Driver,
+    DriverFault,
+    Identity,
+    Lowered,
+    Outcome,
+    Reading,
+    Setup,
+    Span,
+)
+from adapters.shrc203 import fleetaxes, startup
+from adapters.shrc203.axes import letter
+from adapters.shrc203.costs import costs
+from adapters.shrc203.homing import home
+from adapters.shrc203.lowering import ShrcLowered, lower
+from adapters.shrc203.moves import Mover
+from adapters.shrc203.options import Options
+from adapters.shrc203.polling import Poller, bits
+from adapters.shrc203.replies import BITS, flags
+from adapters.shrc203.session import Session
+from adapters.shrc203.unitstate import UnitState
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.profile import Profile
+
+# While a completion is owed, `1` could be the answer to these as well.
+_DIGIT_QUERIES = ("?:", "I:", "PIT:GET", "PAV:GET", "MS:")
+
+
+class ShrcDriver(Driver):
+    """Drives one unit over one line. Its exchanges take turns; a stop goes past them."""
+
+    def __init__(self, setup: Setup, options: Options) -> None:
+        self._setup = setup
+        self._config = setup.config
+        self._options = options
+        self._clock = setup.clock
+        self._char_ns = _char_ns(setup, options)
+        self._costs = costs(options, self._char_ns)
+        self._unit: UnitState | None = None
+        self._mover: Mover | None = None
+        self._poller: Poller | None = None
+        self._outputs = asyncio.Lock()
+
+    # Meeting the unit
+
+    async def connect(self) -> Identity:
+        link = await self._setup.open_link()
+        session = Session(link, self._clock, max(link.char_ns, self._char_ns), self._options.answer_ms * NS_PER_MS)
+        unit = self._unit = UnitState(session)
+        self._mover = Mover(self._options, self._clock, self._setup.firer, unit)
+        self._poller = Poller(self._config, self._options, self._clock, unit)
+        identity = await startup.identify(session)
+        unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
+        await self._read_motors(unit)
+        await unit.buffers.make_harmless(unit.excited)
+        return identity
+
+    async def configure(self) -> None:
+        unit = self._connected()
+        await startup.compare(unit.session, self._config, self._options, unit.controllable)
+        loops = await unit.session.ask("?:FW", flags(len(unit.controllable)))
+        unit.closed_loop = "0" in loops
+        unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(start_classes=("host",), orders=(2,), independent_axes=False, costs=self._costs)
+
+    async def poll(self) -> Reading:
+        self._connected()
+        assert self._poller is not None
+        reading = await self._poller.poll()
+        if reading.restarted:
+            await self._recover(self._connected())
+        return reading
+
+    # A step
+
+    def lower(
+        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
+    ) -> ShrcLowered:
+        return lower(self._config, self._options, self._costs, profiles, start)
+
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, ShrcLowered)
+        return await self._moving().arm(lowered, t0_ns)
+
+    async def verify(self) -> None:
+        await self._moving().verify()
+
+    async def go(self) -> None:
+        await self._moving().go()
+
+    async def disarm(self) -> None:
+        await self._moving().disarm()
+
+    async def started(self) -> Mapping[str, Span]:
+        return await self._moving().started()
+
+    async def outcome(self) -> Outcome:
+        return await self._moving().outcome()
+
+    async def stop(self, abort: bool) -> None:
+        """`L:E`, which is never refused; or `L:` to the axes whose motors are on, and then to each by itself,
+        because it is refused for all where one motor is off (L2988). What is left in the prebuffers is overwritten when the axes are at rest."""
+        unit = self._connected()
+        mover = self._moving()
+        if abort:
+            at_ns = unit.session.interrupt("L:E")
+        else:
+            on = [motor for motor in unit.controllable or (1, 2, 3) if unit.excited.get(motor, True)]
+            at_ns = unit.session.interrupt(f"L:{letter(on)}" if on else "L:W", *(f"L:{motor}" for motor in on))
+        mover.interrupted(at_ns)
+
+    # By hand
+
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        unit = self._connected()
+        motors = {fleetaxes.motor(self._config.axes[name]) for name in axes}
+        if not motors:
+            return
+        await unit.session.tell(f"C:{letter(motors)}{int(on)}")
+        await self._read_motors(unit)
+        wrong = [name for name in axes if unit.excited[fleetaxes.motor(self._config.axes[name])] != on]
+        if wrong:
+            raise CannotDo("not-switched", f"axis {wrong[0]} is not {'on' if on else 'off'} yet", "look at the unit")
+        if on:
+            await unit.buffers.make_harmless(unit.excited)
+
+    async def home(self, axes: Sequence[str]) -> None:
+        await home(self._config, self._clock, self._connected(), axes)
+
+    async def set_output(self, number: int, on: bool) -> None:
+        unit = self._connected()
+        if unit.session.owed:
+            raise CannotDo("moving", "outputs can not be read back while an axis moves", "wait for its end")
+        async with self._outputs:
+            now = bits(await unit.session.ask("?:O", BITS))
+            now[number] = on
+            await unit.session.tell(f"O:{sum(1 << (each - 1) for each, high in now.items() if high)}")
+
+    async def clear_faults(self) -> None:
+        """Clear limit error, overflow error and emergency stop (L2452-L2454). Motors stay as they are."""
+        unit = self._connected()
+        await unit.session.tell("BEC:W")
+        await self._read_motors(unit)
+
+    async def raw(self, command: str) -> str:
+        session = self._connected().session
+        if not command.isascii() or not command.isprintable():
+            raise CannotDo("raw-line", "a raw command is one line of printable ASCII", "send one line")
+        if session.owed and command.upper().startswith(_DIGIT_QUERIES):
+            raise CannotDo(
+                "moving", f"the answer to {command!r} could not be told from a completion line", "ask again at rest"
+            )
+        return await session.converse(command)
+
+    async def close(self) -> None:
+        unit, self._unit = self._unit, None
+        if unit is not None:
+            await unit.session.close()
+
+    # Inside
+
+    def _connected(self) -> UnitState:
+        if self._unit is None:
+            raise LinkClosed(f"{self._setup.controller} is not connected")
+        return self._unit
+
+    def _moving(self) -> Mover:
+        self._connected()
+        assert self._mover is not None
+        return self._mover
+
+    async def _read_motors(self, unit: UnitState) -> None:
+        answer = await unit.session.ask("?:CW", flags(len(unit.controllable)))
+        unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
+
+    async def _recover(self, unit: UnitState) -> None:
+        """The unit was switched off and on: load again what it has lost."""
+        self._moving().move = None
+        try:
+            await self.configure()
+        except CannotDo as error:
+            said = error.refusal
+            raise DriverFault(said.code, said.text, said.remedy) from None
+        await self._read_motors(unit)
+
+
+def _char_ns(setup: Setup, options: Options) -> int:
+    """One character on the serial side: start, data, parity and stop bits at the baud rate."""
+    link = setup.config.link
+    if link.kind == "tcp":
+        return 10 * NS_PER_S // options.bridge_baud
+    bits_per_character = 1 + link.data_bits + (link.parity != "none") + link.stop_bits
+    return bits_per_character * NS_PER_S // link.baud

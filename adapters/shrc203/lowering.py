@@ -1,0 +1,167 @@
+"""Profiles to lines of the SHRC-203: one prebuffer move an axis, all started by one `G:`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+from adapters.contract import CannotDo, Lowered
+from adapters.shrc203.axes import letter
+from adapters.shrc203.fleetaxes import bounds, motor
+from adapters.shrc203.options import Options
+from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Trapezoid, fit
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.model.fleet import Axis, Controller
+from orchestrator.model.messages import Term
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs
+
+# A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
+_SHORT_ROOM = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMove:
+    """One axis's part. distance: pls, with its sign. shape is None for an axis that stays."""
+
+    name: str
+    motor: int
+    start_counts: int
+    distance: int
+    shape: Trapezoid | None
+
+
+@dataclass(frozen=True, slots=True)
+class ShrcLowered(Lowered):
+    """What `arm` needs: the moves, and the two lines that load and start them."""
+
+    moves: tuple[AxisMove, ...] = ()
+    load: str = ""
+    start: str = ""
+
+
+def lower(
+    config: Controller,
+    options: Options,
+    costs: Costs,
+    profiles: Mapping[str, Profile],
+    start: Literal["auto", "clock", "host"],
+) -> ShrcLowered:
+    """Lower all axes of a step. Raises `CannotDo`."""
+    if start == "clock":
+        raise CannotDo("start-class", "the SHRC-203 has no readable clock to start by", "use `start: host` or `auto`")
+    moves = tuple(
+        sorted((_move(name, config.axes[name], each) for name, each in profiles.items()), key=lambda each: each.motor)
+    )
+    running = tuple(each for each in moves if each.shape is not None)
+    load = load_line(running) if running else ""
+    go = start_line(running) if running else ""
+    return ShrcLowered(
+        start_class="host",
+        durations_s={each.name: each.shape.duration_s if each.shape else 0.0 for each in moves},
+        path_error_counts={each.name: path_error(profiles[each.name], each) for each in moves},
+        terms=terms(options),
+        tick_ns=0.0,
+        costs=costs,
+        commands=(load, go) if running else (),
+        moves=running,
+        load=load,
+        start=go,
+    )
+
+
+def terms(options: Options) -> tuple[Term, ...]:
+    """Where the start lies about T0: the starting line is written so that its end meets T0 - decode_us."""
+    spread = options.decode_spread_us
+    early = min(spread, options.decode_us)  # nothing is decoded in less than no time
+    return (
+        _term("host", options.fire_early_us, options.fire_late_us),
+        _term("wire", 0, options.wire_jitter_us),
+        _term("firmware", early, spread),
+    )
+
+
+def _term(name: Literal["host", "wire", "firmware"], early_us: int, late_us: int) -> Term:
+    return Term(name=name, earliest_ns=-early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
+
+
+def load_line(moves: tuple[AxisMove, ...]) -> str:
+    """`MP:A+P10000-P4000,S2F5714R250S5F2285R250` (L3124-L3167); relative, so that it is exact in commanded pulses."""
+    where = "".join(f"{'-' if each.distance < 0 else '+'}P{abs(each.distance)}" for each in moves)
+    speeds = "".join(f"S{each.shape.s}F{each.shape.f}R{each.shape.r}" for each in moves if each.shape is not None)
+    return f"MP:{letter(each.motor for each in moves)}{where},{speeds}"
+
+
+def start_line(moves: tuple[AxisMove, ...]) -> str:
+    """One line starts all axes of a unit (L4779-L4822)."""
+    return f"G:{letter(each.motor for each in moves)}"
+
+
+def _move(name: str, axis: Axis, profile: Profile) -> AxisMove:
+    if any(profile.jerks):
+        raise CannotDo("jerk", f"axis {name}: the SHRC-203 can not limit jerk", "leave `jerk` out of the axis's limits")
+    distance = profile.end_counts - profile.start_counts
+    if distance == 0:
+        return AxisMove(name, motor(axis), profile.start_counts, 0, None)
+    if abs(distance) > DISTANCE_MAX or abs(profile.end_counts) > DISTANCE_MAX:
+        raise CannotDo(
+            "too-far",
+            f"axis {name}: a move of {distance} pulses to {profile.end_counts} is beyond {DISTANCE_MAX}",
+            "make it shorter",
+        )
+    limits, wanted_s = bounds(axis), profile.duration_s
+    shape = fit(abs(distance), wanted_s, profile.durations_s[0], limits)
+    if shape is None:
+        raise CannotDo(
+            "start-rate",
+            f"axis {name}: no start speed from {limits.start_min} to {limits.start_max} pls/s is below its speed limit",
+            "correct `start_rate`",
+        )
+    # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
+    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+        raise CannotDo(
+            "too-slow",
+            f"axis {name}: {abs(distance)} pulses in {wanted_s:.6g} s is slower than the unit can; the longest that it "
+            f"can take within ramps of {RAMP_MAX_MS} ms and its start speeds is {shape.duration_s:.6g} s",
+            f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
+        )
+    return AxisMove(name, motor(axis), profile.start_counts, distance, shape)
+
+
+def path_error(profile: Profile, move: AxisMove) -> float:
+    """The largest distance between what is executed and the plan, from a common start, in pulses.
+
+    Both are parabolas between their knots, so their difference is one too, and its extremes are at knots or at its
+    vertices. One pulse more, because the unit goes in whole ones.
+    """
+    if move.shape is None:
+        return 0.0
+    sign = 1 if move.distance > 0 else -1
+    executed: list[tuple[float, float, float, float]] = []
+    clock_s = position = 0.0
+    for leg in move.shape.legs:
+        executed.append((clock_s, position, leg.speed, leg.acceleration))
+        clock_s += leg.duration_s
+        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
+    executed.append((clock_s, float(abs(move.distance)), 0.0, 0.0))
+    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
+    planned.append((profile.duration_s, float(move.distance), 0.0, 0.0))
+    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
+    worst = 0.0
+    for begin_s, end_s in pairwise(knots):
+        mid_s = (begin_s + end_s) / 2
+        mine = max((each for each in executed if each[0] <= mid_s), key=lambda each: each[0])
+        plan = max((each for each in planned if each[0] <= mid_s), key=lambda each: each[0])
+        a = sign * mine[3] - plan[3]
+        v = sign * (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
+        x = sign * _at(mine, begin_s) - _at(plan, begin_s)
+        instants = [0.0, end_s - begin_s]
+        if a and 0.0 < -v / a < end_s - begin_s:
+            instants.append(-v / a)
+        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
+    return worst + 1.0
+
+
+def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
+    t = time_s - piece[0]
+    return piece[1] + t * (piece[2] + t * piece[3] / 2)

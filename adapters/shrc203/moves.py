@@ -1,0 +1,278 @@
+"""One move of a unit: loaded, checked, started by one line at an instant, followed to its end."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import ceil, floor
+
+from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
+from adapters.shrc203.axes import letter
+from adapters.shrc203.lowering import AxisMove, ShrcLowered
+from adapters.shrc203.options import Options
+from adapters.shrc203.replies import COMMAND, REFUSALS, STATUS, AxisStatus, amounts, entries, status
+from adapters.shrc203.session import EOL, Pending, Session
+from adapters.shrc203.status import ERRORS, why_stopped
+from adapters.shrc203.unitstate import UnitState
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+
+_COMPLETION_LATE_NS = 100 * NS_PER_MS  # a completion line that comes later than this is taken for lost
+_LOOK_NS = 50 * NS_PER_MS
+_OK_CHARACTERS = len("OK\r\n")
+_DIGIT_CHARACTERS = len("1\r\n")
+
+
+@dataclass(slots=True)
+class Move:
+    """A move that is loaded. order and pending: from `go` on. started: span of the start, when it is known."""
+
+    lowered: ShrcLowered
+    t0_ns: int
+    order: FireOrder | None = None
+    pending: Pending | None = None
+    started: Span | None = None
+    stopped_ns: int | None = None
+    seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
+
+    @property
+    def motors(self) -> set[int]:
+        return {each.motor for each in self.lowered.moves}
+
+
+class Mover:
+    """Arms, starts and follows moves of one connection."""
+
+    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState) -> None:
+        self._options = options
+        self._clock = clock
+        self._firer = firer
+        self._unit = unit
+        self.move: Move | None = None
+
+    @property
+    def _session(self) -> Session:
+        return self._unit.session
+
+    # Before the start
+
+    async def arm(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
+        """Load the prebuffers and read everything back. Raises `CannotDo`."""
+        began_ns = self._clock.now_ns()
+        if self.move is not None:
+            raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+        if not lowered.moves:
+            self.move = Move(lowered, t0_ns)
+            return {}
+        motors = {each.motor for each in lowered.moves}
+        # Something in an execution buffer would run before what is loaded here.
+        await self._session.tell(f"GC:{letter(motors)}")
+        await self._session.tell(lowered.load)
+        loaded_ns = self._clock.now_ns()
+        self.move = Move(lowered, t0_ns)
+        text = await self._session.ask("?:CMD", COMMAND)
+        if text.upper() != lowered.load:
+            raise CannotDo(
+                "load-garbled", f"sent {lowered.load!r}, the unit has understood {text!r}", "check the cable; arm again"
+            )
+        await self._check_rest(lowered.moves)
+        await self._check_loaded(self.move)
+        return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
+
+    async def verify(self) -> None:
+        """Still loaded, still where the plan starts. Raises `CannotDo`."""
+        move = self._require()
+        if not move.lowered.moves:
+            return
+        await self._check_rest(move.lowered.moves)
+        count = len(self._unit.controllable)
+        found = entries(await self._session.ask("?:MPW", amounts(count)))
+        self._compare(move, dict(zip(self._unit.controllable, found, strict=True)))
+
+    async def go(self) -> None:
+        """Have the starting line written so that its end is at the unit `decode_us` before T0."""
+        move = self._require()
+        if not move.lowered.moves:
+            return
+        data = (move.lowered.start + EOL).encode()
+        at_ns = move.t0_ns - self._session.wire_ns(len(data)) - self._options.decode_us * NS_PER_US
+        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        if self._clock.now_ns() >= at_ns:
+            raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
+        self._session.owe(move.motors)
+        move.pending = self._session.expect(move.lowered.start, latest_ns)
+        move.order = self._firer.schedule(self._session.link, data, at_ns, latest_ns)
+
+    async def disarm(self) -> None:
+        """Take back the order to fire, then overwrite what is queued. Never starts a move."""
+        move, self.move = self.move, None
+        if move is not None:
+            self._take_back(move)
+        await self._unit.buffers.make_harmless(self._unit.excited)
+
+    def interrupted(self, at_ns: int) -> None:
+        """A stop was written at that instant."""
+        move = self.move
+        if move is None:
+            return
+        move.stopped_ns = at_ns
+        if self._take_back(move) or move.order is None:
+            self.move = None
+        self._session.changed.set()
+
+    def _take_back(self, move: Move) -> bool:
+        """Cancel the order to fire; whether nothing was or will be written."""
+        if move.order is None or not move.order.cancel():
+            return False
+        if move.pending is not None:
+            self._session.forget(move.pending)
+        self._session.owe_nothing()
+        return True
+
+    # After the start
+
+    async def started(self) -> Mapping[str, Span]:
+        """When the axes started, all of them by one line.
+
+        Not before its last character can have been at the unit: the line is handed over at `written`, and its
+        characters take their time whatever else is late. Not after its `OK` can have begun to be sent at the latest:
+        four characters before it was here, whatever was late on the way back; and `start_after_ok_us` after that.
+        """
+        move = self._require()
+        if not move.lowered.moves:
+            return {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s}
+        assert move.order is not None and move.pending is not None and move.pending.reply is not None
+        fired = await move.order.done()
+        if fired.late:
+            self._session.forget(move.pending)
+            self._session.owe_nothing()
+            raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
+        earliest_ns = fired.written_ns + self._session.wire_ns(len(move.lowered.start) + len(EOL))
+        try:
+            line = await move.pending.reply
+        except DriverFault as error:
+            latest_ns = await self._seen_moving(move, error)
+        else:
+            if line.text in REFUSALS:
+                self._session.owe_nothing()
+                raise DriverFault(
+                    "not-started", f"the controller answered NG to {move.lowered.start!r}", "look at its display"
+                )
+            latest_ns = line.at_ns - self._session.wire_ns(_OK_CHARACTERS)
+        latest_ns += self._options.start_after_ok_us * NS_PER_US
+        move.started = Span(min(earliest_ns, latest_ns), latest_ns)
+        stay = {name for name, s in move.lowered.durations_s.items() if s == 0.0}
+        return {n: Span(move.t0_ns, move.t0_ns) if n in stay else move.started for n in move.lowered.durations_s}
+
+    async def _seen_moving(self, move: Move, error: DriverFault) -> int:
+        """The answer to the starting line was lost: by when the axes moved, seen otherwise."""
+        if self._session.completed:
+            return min(self._session.completed.values())
+        line = await self._session.ask_line("Q:SPC", STATUS)
+        now = status(line.text, self._unit.controllable)
+        if all(now[each.motor].busy or now[each.motor].counts != each.start_counts for each in move.lowered.moves):
+            return line.at_ns
+        raise DriverFault("not-started", f"the axes do not move ({error.fault.text})", error.fault.remedy)
+
+    async def outcome(self) -> Outcome:
+        """Wait for the completion lines; look at the unit itself when they do not come, or after a stop."""
+        move = self._require()
+        if not move.lowered.moves or move.started is None:
+            self.move = None
+            return Outcome("done", {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s})
+        session = self._session
+        longest_s = max(move.lowered.durations_s.values())
+        look_ns = move.started.latest_ns + self._slow_ns(longest_s) + _COMPLETION_LATE_NS
+        while session.owed:
+            await session.wait_changed(look_ns)
+            if session.owed and (move.stopped_ns is not None or await self._at_rest(move)):
+                break
+            look_ns = max(look_ns, self._clock.now_ns() + _LOOK_NS)
+        rest_ns = await self._wait_for_rest(move)
+        completed = dict(session.completed)
+        session.owe_nothing()
+        ended = {
+            name: Span(move.t0_ns, move.t0_ns) for name, seconds in move.lowered.durations_s.items() if seconds == 0.0
+        }
+        reasons: list[str] = []
+        error = False
+        for each in move.lowered.moves:
+            now = move.seen[each.motor]
+            arrived = now.counts == each.start_counts + each.distance
+            error = error or bool(now.word & ERRORS)
+            if not arrived or now.word & ERRORS:
+                why = why_stopped(each.name, now)
+                reasons.append(why or f"axis {each.name} stands at {now.counts}, not at its target")
+            ended[each.name] = self._end(move, each, completed.get(each.motor), rest_ns, arrived)
+        if self.move is move:
+            self.move = None
+        if not reasons:
+            return Outcome("done", ended)
+        await self._unit.buffers.make_harmless(self._unit.excited)
+        if move.stopped_ns is not None and not error:
+            return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
+        return Outcome("fault", ended, "; ".join(reasons))
+
+    def _end(self, move: Move, axis: AxisMove, completed_ns: int | None, rest_ns: int, arrived: bool) -> Span:
+        """When an axis ended. By its start and its duration, as far as the unit's crystal may be wrong; and before
+        its completion line (or the reply that showed it at rest) can have begun to be sent."""
+        assert move.started is not None
+        seen_ns = rest_ns if completed_ns is None else completed_ns - self._session.wire_ns(_DIGIT_CHARACTERS)
+        if not arrived:
+            return Span(min(move.started.earliest_ns, seen_ns), seen_ns)
+        duration_s = move.lowered.durations_s[axis.name]
+        earliest_ns = move.started.earliest_ns + floor(duration_s * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
+        latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(duration_s))
+        return Span(min(earliest_ns, latest_ns), latest_ns)
+
+    def _slow_ns(self, duration_s: float) -> int:
+        """A duration by the slowest crystal."""
+        return ceil(duration_s * NS_PER_S * (1 + self._options.clock_ppm * 1e-6))
+
+    async def _at_rest(self, move: Move) -> bool:
+        line = await self._session.ask_line("Q:SPC", STATUS)
+        now = status(line.text, self._unit.controllable)
+        move.seen = now
+        return not any(now[motor].busy for motor in move.motors)
+
+    async def _wait_for_rest(self, move: Move) -> int:
+        """Until all axes of the move are READY; the instant at which that was seen."""
+        while not await self._at_rest(move):
+            await sleep_ns(self._clock, _LOOK_NS)
+        return self._clock.now_ns()
+
+    # Inside
+
+    def _require(self) -> Move:
+        if self.move is None:
+            raise CannotDo("not-armed", "no move is loaded", "arm it")
+        return self.move
+
+    async def _check_rest(self, moves: tuple[AxisMove, ...]) -> None:
+        now = status(await self._session.ask("Q:SPC", STATUS), self._unit.controllable)
+        for each in moves:
+            axis = now[each.motor]
+            if axis.busy:
+                raise CannotDo("moving", f"axis {each.name} is moving", "wait, or stop it")
+            if axis.word & ERRORS:
+                raise CannotDo("fault", why_stopped(each.name, axis), "clear it with `tutti reset`")
+            if axis.counts != each.start_counts:
+                raise CannotDo(
+                    "other-start",
+                    f"axis {each.name} stands at {axis.counts} counts; the plan starts at {each.start_counts}",
+                    "plan again from where it stands",
+                )
+
+    async def _check_loaded(self, move: Move) -> None:
+        meant = {each.motor: each.distance for each in move.lowered.moves}
+        others = await self._unit.buffers.dangerous(meant)
+        if others:
+            raise CannotDo(
+                "not-loaded", f"the prebuffer of axis {letter(others)} does not hold what was loaded", "arm again"
+            )
+
+    def _compare(self, move: Move, found: Mapping[int, int | None]) -> None:
+        for each in move.lowered.moves:
+            if found[each.motor] != each.distance:
+                raise CannotDo(
+                    "not-loaded",
+                    f"axis {each.name}: {found[each.motor]} pulses are loaded instead of {each.distance}",
+                    "arm again; was the unit switched off?",
+                )

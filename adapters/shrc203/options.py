@@ -1,0 +1,41 @@
+"""Options of the SHRC-203 in the fleet file."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Micro = Annotated[int, Field(ge=0, le=1_000_000)]
+
+
+class Options(BaseModel):
+    """What the manual leaves open, and what a person has measured. Times of the start are guaranteed bounds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    loop: Literal["open", "closed"] | None = Field(
+        default=None, description="Loop mode of all axes (command F:). None: leave it as the unit has it."
+    )
+    nm_per_pulse: float | None = Field(
+        default=None, gt=0, description="What ?:P must read on every axis; None: derived from scale of length axes."
+    )
+    bridge_baud: int = Field(
+        default=38400, gt=0, description="Baud rate behind a TCP serial bridge; serial links have their own."
+    )
+    answer_ms: int = Field(default=500, ge=20, le=60_000, description="How long an answer may take beyond the wire.")
+    cw: Literal["forward", "reverse"] = Field(
+        default="forward", description="Which end the CW limit sensor is at; the manual does not say."
+    )
+    clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the unit's crystal.")
+    fire_early_us: Micro = Field(default=0, description="How much too early the starting line may be written.")
+    fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")
+    wire_jitter_us: Micro = Field(
+        default=1000, description="Longest way of the starting line to the unit beyond its characters (USB frame)."
+    )
+    decode_us: Micro = Field(default=1000, description="Usual time from the end of the starting line to the motion.")
+    decode_spread_us: Micro = Field(default=1000, description="That time is decode_us plus or minus this.")
+    start_after_ok_us: Micro = Field(
+        default=0, description="How long after sending OK to the starting line the motion may begin at the most."
+    )
+    busy_wait_s: float = Field(
+        default=30.0, ge=0, le=3600, description="How long configuring waits for a motion that it has found."
+    )

@@ -1,0 +1,83 @@
+"""One poll: coordinates and status words in one line, and what may be asked beside it.
+
+Queries that answer a bare digit are left out while a completion is owed: their last values are given again.
+"""
+
+from adapters.contract import AxisReading, Reading
+from adapters.shrc203 import fleetaxes
+from adapters.shrc203.options import Options
+from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, triples
+from adapters.shrc203.status import faults
+from adapters.shrc203.unitstate import UnitState
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.model.fleet import Controller
+from orchestrator.model.state import Fault
+
+
+class Poller:
+    """Reads the unit's state. Costs `Q:SPC` and the sentinel, `?:CW` at rest, `I:` and `?:O` where they are named."""
+
+    def __init__(self, config: Controller, options: Options, clock: Clock, unit: UnitState) -> None:
+        self._config = config
+        self._options = options
+        self._clock = clock
+        self._unit = unit
+        self._motors = fleetaxes.motors(config)
+        self._last: dict[int, AxisStatus] = {}
+        self._last_ns = 0
+        self._inputs: dict[int, bool] = {}
+        self._outputs: dict[int, bool] = {}
+
+    async def poll(self) -> Reading:
+        unit, session = self._unit, self._unit.session
+        restarted = await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]
+        line = await session.ask_line("Q:SPC", STATUS)
+        now = status(line.text, unit.controllable)
+        actual = now
+        if unit.closed_loop:
+            actual = status(await session.ask("Q:SPE", STATUS), unit.controllable)
+        if not session.owed and not any(each.busy for each in now.values()):
+            await self._ask_digits()
+        found: list[Fault] = []
+        axes: dict[str, AxisReading] = {}
+        elapsed_s = (line.at_ns - self._last_ns) / NS_PER_S
+        for name, motor in self._motors.items():
+            axis, old = now[motor], self._last.get(motor)
+            moved = axis.counts - old.counts if old is not None and axis.busy and elapsed_s > 0 else 0
+            axes[name] = AxisReading(
+                commanded_counts=axis.counts,
+                actual_counts=float(actual[motor].counts),
+                velocity_counts_s=moved / elapsed_s if moved else 0.0,
+                moving=axis.busy,
+                enabled=unit.excited.get(motor, False),
+                limit=fleetaxes.limit_of(axis.word, self._options.cw),
+            )
+            found += faults(name, axis.word)
+        self._last, self._last_ns = now, line.at_ns
+        if restarted:
+            session.owe_nothing()
+        if session.owed & {motor for motor, each in now.items() if not each.busy}:
+            session.changed.set()  # at rest without a completion line: whoever waits for it shall look
+        return Reading(
+            at_ns=line.at_ns,
+            axes=axes,
+            inputs=dict(self._inputs),
+            outputs=dict(self._outputs),
+            faults=found,
+            restarted=restarted,
+        )
+
+    async def _ask_digits(self) -> None:
+        unit = self._unit
+        answer = await unit.session.ask("?:CW", flags(len(unit.controllable)))
+        unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
+        if self._config.inputs:
+            self._inputs = bits(await unit.session.ask("I:", BITS))
+        if self._config.outputs:
+            self._outputs = bits(await unit.session.ask("?:O", BITS))
+
+
+def bits(reply: str) -> dict[int, bool]:
+    """Inputs or outputs by number: the first is 1, the second 2, the third 4 (L5274-L5304)."""
+    value = int(reply)
+    return {number: bool(value & 1 << (number - 1)) for number in fleetaxes.INPUTS}

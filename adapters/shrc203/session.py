@@ -1,0 +1,278 @@
+"""The conversation on the line: one command at a time, asynchronous lines told from replies, steps found again.
+
+Every command gets exactly one line in the order of arrival (L229-L237). Between them come completion lines `1`, `2`,
+`3`, and `COMP` and `TRIG` of programs. A stop and the line that starts a move are written beside the conversation;
+their replies have their place in the same queue.
+"""
+
+import asyncio
+from collections import deque
+from dataclasses import dataclass
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.shrc203.replies import ANYTHING, DONE, MODE, REFUSALS, Form, refusal
+from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
+from orchestrator.link.base import Link, LinkClosed
+
+EOL = "\r\n"
+COMPLETIONS = ("1", "2", "3")
+PROGRAM_EVENTS = ("COMP", "TRIG")
+LONGEST_REPLY = 128  # characters that a reply may take to come in, beyond the time allowed for answering
+_QUIET_NS = 30 * NS_PER_MS  # nothing comes this long: no late reply is on its way any more
+_TRIES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line as it came. at_ns: host time when its end was taken from the operating system."""
+
+    text: str
+    at_ns: int
+
+
+class Pending:
+    """A command whose reply is still to come. `reply` is None when nobody waits for it."""
+
+    def __init__(self, command: str, form: Form, awaited: bool) -> None:
+        self.command = command
+        self.form = form
+        self.reply: asyncio.Future[Line] | None = asyncio.get_running_loop().create_future() if awaited else None
+        self.timer: Timer | None = None
+
+    def settle(self, line: Line) -> None:
+        if self.timer is not None:
+            self.timer.cancel()
+        if self.reply is not None and not self.reply.done():
+            self.reply.set_result(line)
+
+    def fail(self, error: Exception) -> None:
+        if self.timer is not None:
+            self.timer.cancel()
+        if self.reply is not None and not self.reply.done():
+            self.reply.set_exception(error)
+            self.reply.exception()  # looked at: a waiter that was cancelled meanwhile leaves no unheard error
+
+
+class Session:
+    """The conversation with one unit. char_ns: one character on the slowest wire of the way."""
+
+    def __init__(self, link: Link, clock: Clock, char_ns: int, answer_ns: int) -> None:
+        self.link = link
+        self.char_ns = char_ns
+        self._clock = clock
+        self._answer_ns = answer_ns
+        self._turn = asyncio.Lock()
+        self._queue: deque[Pending] = deque()
+        self._rest = b""
+        self._astray = True  # nobody knows what was said before
+        self._searching = False
+        self._closed: LinkClosed | None = None
+        self._reader = asyncio.get_running_loop().create_task(self._read())
+        self.owed: set[int] = set()
+        self.completed: dict[int, int] = {}
+        self.changed = asyncio.Event()
+
+    async def close(self) -> None:
+        self._reader.cancel()
+        await self.link.close()
+        self._lose(LinkClosed(f"{self.link.place} is closed"))
+
+    # Saying things
+
+    async def ask(self, command: str, form: Form) -> str:
+        """The reply to a query, without its blanks. A query that went wrong on the wire is asked once more."""
+        line = await self.ask_line(command, form)
+        return line.text
+
+    async def ask_line(self, command: str, form: Form) -> Line:
+        """Like `ask`, with the time stamp of the reply."""
+        try:
+            line = await self._exchange(command, form)
+            if line.text not in REFUSALS:
+                return line
+        except DriverFault:
+            self._astray = True
+        line = await self._exchange(command, form)
+        if line.text in REFUSALS:
+            said = refusal(command)
+            raise DriverFault(said.code, said.text, said.remedy)
+        return line
+
+    async def tell(self, command: str) -> None:
+        """Give a setting. Raises `CannotDo` when the controller refuses it."""
+        line = await self._exchange(command, DONE)
+        if line.text in REFUSALS:
+            said = refusal(command)
+            raise CannotDo(said.code, said.text, said.remedy)
+
+    async def try_to_tell(self, command: str) -> bool:
+        """Give a setting that may well be refused; whether it was taken."""
+        line = await self._exchange(command, DONE)
+        return line.text not in REFUSALS
+
+    async def converse(self, command: str) -> str:
+        """Any line, and whatever is said to it."""
+        return (await self._exchange(command, ANYTHING)).text
+
+    def interrupt(self, *commands: str) -> int:
+        """Write past everything else, at once; gives the instant. Each of our lines is handed over whole, so that
+        this is always at the beginning of a line."""
+        for command in commands:
+            self._enqueue(command, DONE, awaited=False)
+        return self.link.write("".join(command + EOL for command in commands).encode())
+
+    def expect(self, command: str, written_by_ns: int) -> Pending:
+        """Somebody else writes `command` by that instant: keep the place of its reply."""
+        return self._enqueue(command, DONE, awaited=True, written_ns=written_by_ns)
+
+    def forget(self, pending: Pending) -> None:
+        """The line was never written."""
+        if pending.timer is not None:
+            pending.timer.cancel()
+        if pending in self._queue:
+            self._queue.remove(pending)
+
+    def owe(self, motors: set[int]) -> None:
+        """From now on a bare digit is the completion of one of `motors`."""
+        self.owed = set(motors)
+        self.completed = {}
+
+    def owe_nothing(self) -> None:
+        """No completion can come any more."""
+        self.owed = set()
+
+    def wire_ns(self, characters: int) -> int:
+        """How long so many characters are on the wire."""
+        return characters * self.char_ns
+
+    # Inside
+
+    async def _exchange(self, command: str, form: Form) -> Line:
+        async with self._turn:
+            if self._astray:
+                await self._find_step()
+            return await self._once(command, form)
+
+    async def _once(self, command: str, form: Form) -> Line:
+        pending = self._enqueue(command, form, awaited=True)
+        self.link.write((command + EOL).encode())
+        assert pending.reply is not None
+        return await pending.reply
+
+    def _enqueue(self, command: str, form: Form, *, awaited: bool, written_ns: int | None = None) -> Pending:
+        if self._closed is not None:
+            raise self._closed
+        pending = Pending(command, form, awaited)
+        self._queue.append(pending)
+        ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
+        since_ns = self._clock.now_ns() if written_ns is None else written_ns
+        pending.timer = self._clock.call_at_ns(
+            since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._expire(pending)
+        )
+        return pending
+
+    def _expire(self, pending: Pending) -> None:
+        if pending in self._queue:
+            self._queue.remove(pending)
+        self._astray = True
+        pending.fail(
+            DriverFault(
+                "no-answer",
+                f"no answer to {pending.command!r} on {self.link.place}; expected {pending.form.words}",
+                "check power, cable, baud rate, and that the unit is in HOST mode",
+            )
+        )
+
+    async def _find_step(self) -> None:
+        """Find the way back: end what is half-typed, ask for the mode, and drop everything that does not fit it."""
+        while self._queue:  # each has its timer, so that this ends
+            await sleep_ns(self._clock, 5 * NS_PER_MS)
+            self._require_open()
+        for left in reversed(range(_TRIES)):
+            self._searching = True
+            try:
+                self.link.write(EOL.encode())
+                await self._once("?:MODE", MODE)
+            except DriverFault:
+                if not left:
+                    raise
+                continue
+            finally:
+                self._searching = False
+            self._searching = True
+            try:
+                await sleep_ns(self._clock, _QUIET_NS)
+            finally:
+                self._searching = False
+            self._astray = False
+            return
+
+    def _require_open(self) -> None:
+        if self._closed is not None:
+            raise self._closed
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                received = await self.link.read()
+                *whole, self._rest = (self._rest + received.data).split(b"\n")
+                for each in whole:
+                    text = each.decode("latin-1").replace(" ", "").strip("\r\0")
+                    if text:
+                        self._take(Line(text, received.at_ns))
+        except LinkClosed as error:
+            self._lose(error)
+
+    def _lose(self, error: LinkClosed) -> None:
+        self._closed = error
+        while self._queue:
+            self._queue.popleft().fail(error)
+        self.changed.set()
+
+    def _take(self, line: Line) -> None:
+        """Say what a line is: completion, program event, reply, or garbage."""
+        if line.text in PROGRAM_EVENTS:
+            return
+        if line.text in COMPLETIONS and self._is_completion(line):
+            return
+        pending = next((each for each in self._queue if each.form.fits(line.text)), None)
+        head = self._queue[0] if self._queue else None
+        if self._searching:
+            if pending is not None:
+                self._queue.remove(pending)
+                pending.settle(line)
+        elif head is None:
+            self._astray = True  # a reply that nobody waits for: what comes next may be one too late
+        else:
+            self._queue.popleft()
+            if head is pending or line.text in REFUSALS:
+                head.settle(line)
+                return
+            self._astray = True
+            head.fail(
+                DriverFault(
+                    "garbage",
+                    f"sent {head.command!r}, expected {head.form.words}, received {line.text!r}",
+                    "check cable, baud rate and ground; is another program on the same line?",
+                )
+            )
+
+    def _is_completion(self, line: Line) -> bool:
+        motor = int(line.text)
+        if motor in self.owed:
+            self.owed.discard(motor)
+            self.completed[motor] = line.at_ns
+            self.changed.set()
+            return True
+        # Nobody waits for it: still a completion, of a move that somebody else made, unless it answers the question.
+        return not (self._queue and self._queue[0].form.fits(line.text))
+
+    async def wait_changed(self, until_ns: int) -> None:
+        """Until a completion comes, somebody sets `changed`, the link is lost (`LinkClosed`), or that instant."""
+        timer = self._clock.call_at_ns(until_ns, self.changed.set)
+        try:
+            await self.changed.wait()
+        finally:
+            timer.cancel()
+        self.changed.clear()
+        self._require_open()

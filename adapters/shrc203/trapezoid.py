@@ -1,0 +1,160 @@
+"""The controller's own profile: a symmetric trapezoid from whole numbers S, F (pls/s) and R (ms).
+
+The manual gives the three numbers and no formula (L3013, L3151-L3159): the axis starts at S, is at F after R,
+and comes back to S in R. A move too short for that turns round where both ramps meet.
+"""
+
+from dataclasses import dataclass
+from math import ceil, floor, sqrt
+from typing import NamedTuple
+
+SPEED_MAX = 1_000_000  # pls/s, L3151-L3153
+RAMP_MAX_MS = 1000  # L3157-L3159
+DISTANCE_MAX = 999_999_999  # pls, L3057
+
+# The search stops at a duration this near to the wanted one; nothing on a serial line tells 100 ns apart.
+_GOOD_ENOUGH_S = 1e-7
+# How far from the planned ramp another one is looked for: it costs path error, not duration.
+_RAMP_REACH_MS = 48
+_SPEED_REACH = 4
+
+
+class Leg(NamedTuple):
+    """A stretch of constant acceleration: length (s), speed at its start (pls/s), acceleration (pls/s²)."""
+
+    duration_s: float
+    speed: float
+    acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoid:
+    """One move of `distance` pls (> 0) with S, F in pls/s and R in ms."""
+
+    distance: int
+    s: int
+    f: int
+    r: int
+
+    @property
+    def acceleration(self) -> float:
+        """pls/s²; 0 for a move at constant speed."""
+        return (self.f - self.s) / (self.r / 1000)
+
+    @property
+    def peak(self) -> float:
+        """The largest speed that is reached, pls/s."""
+        if self.distance * 1000 >= (self.s + self.f) * self.r:
+            return float(self.f)
+        return sqrt(self.s**2 + self.acceleration * self.distance)
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        if self.f == self.s:
+            return (Leg(self.distance / self.f, self.f, 0.0),)
+        peak, a = self.peak, self.acceleration
+        ramp_s = (peak - self.s) / a
+        cruise_s = (self.distance - (self.s + peak) * ramp_s) / peak
+        if cruise_s <= 0.0:
+            return (Leg(ramp_s, self.s, a), Leg(ramp_s, peak, -a))
+        return (Leg(ramp_s, self.s, a), Leg(cruise_s, peak, 0.0), Leg(ramp_s, peak, -a))
+
+    @property
+    def duration_s(self) -> float:
+        """D/F + R (1 - S/F); for a triangle 2 (peak - S)/a."""
+        if self.f == self.s:
+            return self.distance / self.f
+        if self.distance * 1000 >= (self.s + self.f) * self.r:
+            return self.distance / self.f + self.r / 1000 * (1 - self.s / self.f)
+        return 2 * (self.peak - self.s) / self.acceleration
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What an axis may do: speed (pls/s), acceleration (pls/s²), and the start speeds that are allowed (pls/s)."""
+
+    speed: float
+    acceleration: float
+    start_min: int
+    start_max: int
+
+
+def fit(distance: int, duration_s: float, ramp_s: float, bounds: Bounds) -> Trapezoid | None:
+    """The trapezoid within `bounds` whose duration is nearest to `duration_s`, then whose ramp is nearest to `ramp_s`.
+
+    S, F and R are chosen together: R around the planned ramp, F around what that ramp needs, S for what the rounding
+    of F has left. None when no speed that is allowed moves the axis at all.
+    """
+    fastest = min(SPEED_MAX, floor(bounds.speed))
+    lowest, highest = max(1, bounds.start_min), min(bounds.start_max, fastest)
+    if lowest > highest:
+        return None
+    search = _Search(distance, duration_s, fastest, bounds.acceleration)
+    planned_ms = max(1, min(RAMP_MAX_MS, round(ramp_s * 1000)))
+    for r in _around(planned_ms):
+        search.ramp(r, lowest, highest)
+        if search.error_s <= _GOOD_ENOUGH_S:
+            break
+    search.steady(lowest, highest)
+    search.limited(lowest, highest)
+    return search.best
+
+
+class _Search:
+    """Keeps the best of the candidates that are offered."""
+
+    def __init__(self, distance: int, duration_s: float, fastest: int, acceleration: float) -> None:
+        self._distance = distance
+        self._duration_s = duration_s
+        self._fastest = fastest
+        self._acceleration = acceleration
+        self.best: Trapezoid | None = None
+        self.error_s = float("inf")
+
+    def ramp(self, r: int, lowest: int, highest: int) -> None:
+        """Candidates with the ramp `r`: trapezoids where the move is long enough for one, triangles otherwise."""
+        d, t, r_s = self._distance, self._duration_s, r / 1000
+        if t > 2 * r_s:
+            base = floor((d - r_s * lowest) / (t - r_s))
+            for f in range(base - _SPEED_REACH, base + 2):
+                s = round((d - f * (t - r_s)) / r_s)
+                self.offer(max(lowest, min(highest, f, s)), f, r)
+        for s in (lowest, (lowest + highest) // 2, highest):
+            needed = 4 * (d - t * s) / (t * t)  # from T = 2 (sqrt(S² + a D) - S) / a
+            if needed > 0:
+                self.offer(s, floor(s + needed * r_s), r)
+                self.offer(s, ceil(s + needed * r_s), r)
+
+    def steady(self, lowest: int, highest: int) -> None:
+        """Candidates without ramps: best for moves of a few pulses."""
+        speed = self._distance / self._duration_s
+        for f in (floor(speed), ceil(speed)):
+            if lowest <= f <= highest:
+                self.offer(f, f, 1)
+
+    def limited(self, lowest: int, highest: int) -> None:
+        """The fastest move that is allowed, for a duration that is too short; and the slowest, for one too long."""
+        for s in (lowest, highest):
+            f = min(self._fastest, floor(s + self._acceleration * RAMP_MAX_MS / 1000))
+            if f > s:
+                self.offer(s, f, min(RAMP_MAX_MS, ceil((f - s) / self._acceleration * 1000)))
+        self.offer(lowest, lowest, 1)
+
+    def offer(self, s: int, f: int, r: int) -> None:
+        """Take the candidate if it is legal and better."""
+        if not (1 <= s <= f <= self._fastest and 1 <= r <= RAMP_MAX_MS):
+            return
+        candidate = Trapezoid(self._distance, s, f, r)
+        if candidate.acceleration > self._acceleration * (1 + 1e-6):
+            return
+        error_s = abs(candidate.duration_s - self._duration_s)
+        if error_s < self.error_s - _GOOD_ENOUGH_S / 2:
+            self.best, self.error_s = candidate, error_s
+
+
+def _around(planned_ms: int) -> list[int]:
+    """Ramps in ms, the planned one first, then ever further away."""
+    reach = [planned_ms]
+    for step in range(1, _RAMP_REACH_MS + 1):
+        reach += [r for r in (planned_ms + step, planned_ms - step) if 1 <= r <= RAMP_MAX_MS]
+    return reach
