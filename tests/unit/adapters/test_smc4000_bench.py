@@ -1,0 +1,103 @@
+"""A simulated SMC-4000 on a wire in virtual time with a driver before it, as the other tests of the driver use it."""
+
+from collections.abc import Callable, Coroutine
+from contextvars import copy_context
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+from adapters.contract import Driver, Setup
+from adapters.firing import LoopFirer
+from adapters.yaskawa.options import Options
+from adapters.yaskawa.smc4000 import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.virtual import run_virtual
+from orchestrator.link.memory import LAN, MemoryWire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.profile import Profile
+from sim.core.controller import SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.yaskawa import SMC4000
+
+LIMITS = {"velocity": 100.0, "acceleration": 1000.0}
+FLEET = {
+    "adapter": "smc4000",
+    "link": {"kind": "tcp", "host": "10.0.0.1", "port": 23},
+    "axes": {
+        "x": {"motors": ["X"], "unit": "mm", "scale": 1000, "limits": LIMITS},
+        "y": {"motors": ["Y"], "unit": "mm", "scale": 1000, "limits": LIMITS},
+    },
+}
+
+
+@dataclass
+class World:
+    clock: Clock
+    controller: SimulatedController
+    wire: MemoryWire
+    driver: Driver
+    other: Callable[[], Any]
+
+    async def talk(self, line: str) -> str:
+        """What a person types at a terminal of his own."""
+        link = await self.wire.open()
+        reply = ""
+        link.write(line.encode("latin-1") + b"\r")
+        while not reply.endswith((":", "?")):
+            reply += (await link.read()).data.decode("latin-1")
+        await link.close()
+        return reply
+
+    async def ready(self, polls: int = 30) -> None:
+        await self.driver.connect()
+        await self.driver.configure()
+        await self.driver.enable(["x", "y"], True)
+        for _ in range(polls):
+            await self.driver.poll()
+            await sleep_ns(self.clock, 100 * NS_PER_MS)
+
+    async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.5) -> tuple[Any, Any, Any, int]:
+        """One step, from lowering to its outcome."""
+        driver, mapping = self.driver, self.driver.mapping()
+        lowered = driver.lower(profiles, "auto", mapping)
+        t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
+        await driver.arm(lowered, t0_ns, mapping)
+        await driver.verify()
+        await driver.go()
+        started = await driver.started()
+        outcome = await driver.outcome()
+        return lowered, started, outcome, t0_ns
+
+
+def run(
+    main: Callable[[World], Coroutine[Any, Any, Any]],
+    *,
+    seed: int = 1,
+    fleet: dict[str, Any] | None = None,
+    options: dict[str, Any] | None = None,
+    ppm: float = 40.0,
+) -> Any:
+    async def within(clock: Clock) -> Any:
+        config = Controller.model_validate(fleet or FLEET)
+        MAKE.check(config)
+        oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
+        timing = Timing(decode_ns=500_000, spread_ns=50_000)
+        controller = SMC4000.build(clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
+        wire = MemoryWire(clock, LAN, controller, "tcp", "smc", copy_context(), seed)
+
+        def driver() -> Driver:
+            chosen = Options.model_validate(config.options)
+            return MAKE.driver(Setup("c", config, chosen, clock, wire.open, LoopFirer(clock)))
+
+        return await main(World(clock, controller, wire, driver(), driver))
+
+    return run_virtual(within)
+
+
+def trapezoid(start: int, end: int, speed: float, ramp: float, stretch: float = 1.0) -> Profile:
+    way = abs(end - start)
+    sign = 1 if end > start else -1
+    speed = min(speed, (way * ramp) ** 0.5)
+    t, hold = speed / ramp, way / speed - speed / ramp
+    profile = Profile(start, end, sign * 1.0, [t, max(hold, 0.0), t], [ramp, 0.0, -ramp], [0.0, 0.0, 0.0])
+    return profile.stretched(stretch)
