@@ -112,7 +112,7 @@ class ShrcDriver(Driver):
 
     async def stop(self, abort: bool) -> None:
         """`L:E`, which is never refused; or `L:` to the axes whose motors are on, and then to each by itself,
-        because it is refused for all where one motor is off (L2988). What is left in the prebuffers is overwritten when the axes are at rest."""
+        because `L:` is refused for all where one motor is off (L2988)."""
         unit = self._connected()
         mover = self._moving()
         if abort:
