@@ -60,7 +60,7 @@ def _reason(link: TcpLink, error: BaseException) -> str | None:
     """Why it could not be opened and what to do; None for an error that is not of the connection."""
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer within {CONNECT_TIMEOUT_S:g} s; check address, cable and power"
-    if isinstance(error, socket.gaierror):
+    if isinstance(error, socket.gaierror | UnicodeError):
         return f"the name {link.host} is not known; correct it, or give the address in numbers"
     if isinstance(error, OSError):
         return _REMEDY.get(error.errno or 0, f"{error.strerror}; check address and network settings")

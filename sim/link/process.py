@@ -43,8 +43,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 async def _run(chosen: argparse.Namespace) -> None:
+    task = asyncio.current_task()
+    assert task is not None
+    # From the first moment: whoever reads the ready line may end this process at once.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     clock = LiveClock()
-    with contextlib.ExitStack() as cleanup:
+    with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
         controller = _build(chosen, clock)
         server = await _serve(chosen, controller, clock)
@@ -53,7 +58,7 @@ async def _run(chosen: argparse.Namespace) -> None:
             TruthLog(controller, clock, cleanup.enter_context(_opened(chosen.truth)))
         sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
         sys.stdout.flush()
-        await _until_ended(lines, server, controller, chosen.name)
+        await _follow(lines, server, controller, chosen.name)
 
 
 async def _standard_input() -> asyncio.StreamReader:
@@ -98,21 +103,16 @@ def _opened(path: Path) -> TextIO:
         raise CannotStart(f"--truth: {path}: {error.strerror}") from None
 
 
-async def _until_ended(
+async def _follow(
     lines: asyncio.StreamReader, server: TcpServer | PtyServer, controller: SimulatedController, name: str
 ) -> None:
-    """Change the world line by line, until standard input is closed or a signal comes."""
-    task = asyncio.current_task()
-    assert task is not None
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    with contextlib.suppress(asyncio.CancelledError):
-        while line := await lines.readline():
-            try:
-                change_world(controller, line.decode("utf-8", "replace"))
-            except WorldRefused as error:
-                sys.stderr.write(f"{name}: {error}\n")
-            server.reconnect()
+    """Change the world line by line, until standard input is closed."""
+    while line := await lines.readline():
+        try:
+            change_world(controller, line.decode("utf-8", "replace"))
+        except WorldRefused as error:
+            sys.stderr.write(f"{name}: {error}\n")
+        server.reconnect()
 
 
 if __name__ == "__main__":

@@ -61,10 +61,13 @@ class Children:
         if process.poll() is None:
             process.terminate()
         try:
-            process.communicate(timeout=10)
+            process.wait(10)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.communicate()
+            process.wait()
+        for pipe in (process.stdin, process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
 
 
 def ready(process: "subprocess.Popen[str]") -> str:

@@ -1,0 +1,112 @@
+"""The firing process writes at its instant, to a real socket, or not at all."""
+
+import asyncio
+import socket
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+from children import LIMIT_S
+
+from adapters.firing_process import ProcessFirer
+from adapters.link.open import open_link
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.live import LiveClock, raw_ns
+from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.fleet import TcpLink
+
+pytestmark = pytest.mark.live
+
+SOON_NS = 50 * NS_PER_MS
+GENEROUS_NS = 500 * NS_PER_MS
+
+
+class Bench:
+    """A firer, a link, and the far end of the link."""
+
+    def __init__(self, firer: ProcessFirer, link: Link, far: socket.socket) -> None:
+        self.firer = firer
+        self.link = link
+        self.far = far
+
+    async def heard(self) -> bytes:
+        return await asyncio.get_running_loop().sock_recv(self.far, 100)
+
+
+def run(test: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
+    async def limited() -> None:
+        loop = asyncio.get_running_loop()
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            server.setblocking(False)
+            link = await open_link(TcpLink(host="127.0.0.1", port=server.getsockname()[1]), LiveClock())()
+            far, _ = await loop.sock_accept(server)
+        firer = ProcessFirer()
+        try:
+            far.setblocking(False)
+            async with asyncio.timeout(LIMIT_S):
+                # The first order waits for the process to start.
+                start_ns = raw_ns()
+                await firer.schedule(link, b"first", start_ns, start_ns + 60_000 * NS_PER_MS).done()
+                assert await loop.sock_recv(far, 100) == b"first"
+                await test(Bench(firer, link, far))
+        finally:
+            far.close()
+            await link.close()
+            firer.close()
+
+    asyncio.run(limited())
+
+
+def test_it_writes_at_its_instant(record_property: Callable[..., None]) -> None:
+    late_ns: list[int] = []
+
+    async def test(bench: Bench) -> None:
+        for _ in range(40):
+            at_ns = raw_ns() + 10 * NS_PER_MS
+            fired = await bench.firer.schedule(bench.link, b"BG\r", at_ns, at_ns + GENEROUS_NS).done()
+            assert not fired.late
+            assert await bench.heard() == b"BG\r"
+            late_ns.append(fired.written_ns - at_ns)
+
+    run(test)
+    late_ns.sort()
+    record_property("late_ns", {"p50": late_ns[20], "max": late_ns[-1]})
+    assert late_ns[0] >= 0
+    assert late_ns[20] < 5 * NS_PER_MS
+
+
+def test_what_is_cancelled_is_not_sent() -> None:
+    async def test(bench: Bench) -> None:
+        at_ns = raw_ns() + GENEROUS_NS
+        order = bench.firer.schedule(bench.link, b"cancelled", at_ns, at_ns + GENEROUS_NS)
+        assert order.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await order.done()
+        soon_ns = raw_ns() + SOON_NS
+        await bench.firer.schedule(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).done()
+        assert await bench.heard() == b"next"
+
+    run(test)
+
+
+def test_what_is_late_is_not_sent() -> None:
+    async def test(bench: Bench) -> None:
+        past_ns = raw_ns() - SOON_NS
+        fired = await bench.firer.schedule(bench.link, b"late", past_ns, past_ns + 1).done()
+        assert fired.late
+        soon_ns = raw_ns() + SOON_NS
+        await bench.firer.schedule(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).done()
+        assert await bench.heard() == b"next"
+
+    run(test)
+
+
+def test_a_link_closed_meanwhile_is_told() -> None:
+    async def test(bench: Bench) -> None:
+        at_ns = raw_ns() + SOON_NS
+        order = bench.firer.schedule(bench.link, b"into the void", at_ns, at_ns + GENEROUS_NS)
+        await bench.link.close()
+        with pytest.raises(LinkClosed):
+            await order.done()
+
+    run(test)

@@ -1,0 +1,104 @@
+"""A simulated SHRC-203 on a pseudo-terminal, driven by pyserial."""
+
+import time
+from pathlib import Path
+
+import pytest
+import serial
+from children import LIMIT_S, Children, wait_until
+
+pytestmark = pytest.mark.live
+
+BAUD = 9600
+CHAR_S = 10 / BAUD
+UNREAD_BYTES = 4095
+
+
+def client(port: Path) -> serial.Serial:
+    return serial.Serial(str(port), BAUD, timeout=LIMIT_S, exclusive=True)
+
+
+@pytest.fixture
+def port(children: Children) -> Path:
+    path = children.folder / "ports" / "stage"
+    _, place = children.simulator("shrc203", f"pty:{path}", "--baud", str(BAUD))
+    assert place["device"] == str(path)
+    return path
+
+
+def test_an_exchange_takes_its_time_on_the_wire(port: Path) -> None:
+    with client(port) as line:
+        begun_s = time.monotonic()
+        line.write(b"*IDN?\r\n")
+        answer = line.readline()
+        took_s = time.monotonic() - begun_s
+    assert answer.startswith(b"SIGMAKOKI,SHRC-203")
+    wire_s = (len(b"*IDN?\r\n") + len(answer)) * CHAR_S
+    assert wire_s <= took_s < wire_s + 1.0
+
+
+def test_lines_written_at_once_are_heard_one_after_another(port: Path) -> None:
+    with client(port) as line:
+        line.write(b"*IDN?\r\n" * 3)
+        stamps: list[float] = []
+        for _ in range(3):
+            answer = line.readline()
+            stamps.append(time.monotonic())
+    # The answers are longer than the questions: they follow each other without a gap.
+    assert stamps[2] - stamps[0] > 1.5 * len(answer) * CHAR_S
+
+
+def test_it_survives_clients_that_come_and_go(port: Path) -> None:
+    for _ in range(3):
+        with client(port) as line:
+            line.write(b"*IDN?\r\n")
+            assert line.readline().startswith(b"SIGMAKOKI")
+
+
+def test_a_client_that_never_reads_does_not_block_it_and_loses_the_oldest(children: Children) -> None:
+    path = children.folder / "fast"
+    process, _ = children.simulator("shrc203", f"pty:{path}", "--baud", "1000000")
+    identity = b"SIGMAKOKI,SHRC-203,2106001001,V2.00.000\r\n"
+    asked = 300
+    with client(path) as deaf:
+        for _ in range(asked):
+            deaf.write(b"*IDN?\r\n")
+        # All are answered, at the pace of the wire, while nobody reads: the processor time of the simulator rests.
+        wait_until(lambda: deaf.in_waiting > UNREAD_BYTES - 2 * len(identity), "a full buffer")
+        wait_until(lambda: rests(process.pid), "the last answer")
+        answers = deaf.read(deaf.in_waiting)
+        assert len(answers) <= UNREAD_BYTES < asked * len(identity)
+        assert answers.endswith(identity * 10)
+        deaf.write(b"*IDN?\r\n")
+        assert deaf.readline() == identity
+
+
+def rests(pid: int) -> bool:
+    """Whether the process needed no time in the last tenth of a second."""
+
+    def ticks() -> list[str]:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+
+    before = ticks()
+    time.sleep(0.1)
+    return ticks() == before
+
+
+def test_a_file_in_the_way_is_refused(children: Children) -> None:
+    path = children.folder / "file"
+    path.write_text("mine")
+    process = children.start("sim.link.process", "--model", "shrc203", "--name", "s", "--listen", f"pty:{path}")
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2
+    assert "choose another name" in said
+    assert path.read_text() == "mine"
+
+
+def test_the_name_is_taken_away_and_an_old_one_replaced(children: Children) -> None:
+    path = children.folder / "name"
+    path.symlink_to("/dev/pts/9999")
+    process, _ = children.simulator("shrc203", f"pty:{path}")
+    assert path.is_char_device()
+    process.terminate()
+    process.wait(LIMIT_S)
+    assert not path.is_symlink()

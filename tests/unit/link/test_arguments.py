@@ -1,0 +1,77 @@
+"""The arguments of a simulator's process, and the lines that change its world."""
+
+from pathlib import Path
+
+import pytest
+
+from orchestrator.clock.queue import EventQueue
+from sim.core.vectors import simulator
+from sim.link.arguments import PtyPlace, TcpPlace, parse_arguments
+from sim.link.world import WorldRefused, change_world
+
+USUAL = ["--model", "smc4000", "--name", "gantry"]
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("tcp:127.0.0.1:2300", TcpPlace("127.0.0.1", 2300)),
+        ("tcp:[::1]:0", TcpPlace("::1", 0)),
+        ("pty:/tmp/port", PtyPlace(Path("/tmp/port"))),
+    ],
+)
+def test_places(text: str, place: TcpPlace | PtyPlace) -> None:
+    assert parse_arguments([*USUAL, "--listen", text]).listen == place
+
+
+@pytest.mark.parametrize(("frame", "bits"), [("8N1", 10), ("7O1", 10), ("8E2", 12)])
+def test_frames(frame: str, bits: int) -> None:
+    assert parse_arguments([*USUAL, "--listen", "pty:x", "--frame", frame]).frame == bits
+    assert parse_arguments([*USUAL, "--listen", "pty:x"]).frame == 10
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--listen", "tcp:192.168.1.2:80"],
+        ["--listen", "tcp:127.0.0.1:99999"],
+        ["--listen", "pty:"],
+        ["--listen", "pty:x", "--baud", "0"],
+        ["--listen", "pty:x", "--frame", "9N1"],
+        ["--listen", "pty:x", "--options", "[]"],
+        ["--listen", "pty:x", "--options", "{"],
+        ["--listen", "pty:x", "--oscillator", '{"drift": 1}'],
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        parse_arguments([*USUAL, *wrong])
+    assert end.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("{", "JSON"),
+        ('{"axis": 1}', "axis"),
+        ('{"limit": ["Q", "forward"]}', "no axis 'Q'"),
+        ('{"limit": ["X", "sideways"]}', "limit.1"),
+        ('{"input": [0, true]}', "input.0"),
+    ],
+)
+def test_a_line_that_can_not_be_acted_upon_says_why(line: str, named: str) -> None:
+    controller = simulator("smc4000").build(EventQueue(), {})
+    with pytest.raises(WorldRefused, match=named):
+        change_world(controller, line)
+
+
+def test_the_world_is_changed() -> None:
+    controller = simulator("smc4000").build(EventQueue(), {})
+    for line in (
+        '{"power": false}',
+        '{"power": true}',
+        '{"input": [1, false]}',
+        '{"limit": ["X", "forward"], "stall": ["X", true]}',
+    ):
+        change_world(controller, line)

@@ -1,0 +1,34 @@
+"""Pacing of a simulated serial line, in virtual time."""
+
+import asyncio
+
+from orchestrator.clock.base import sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from sim.link.pacing import PacedLine
+
+CHAR_NS = 1000
+
+
+def test_lines_arrive_each_at_its_own_end_and_in_order() -> None:
+    arrived: list[tuple[int, bytes]] = []
+
+    async def test(clock: VirtualClock) -> None:
+        line = PacedLine(clock, CHAR_NS, lambda data: arrived.append((clock.now_ns(), data)))
+        begun_ns = clock.now_ns()
+        line.put_lines(b"AB\rCDE\rF")
+        assert line.waiting == 8
+        await sleep_until_ns(clock, begun_ns + 5 * CHAR_NS)
+        line.put(b"G")
+        await asyncio.sleep(1)
+        assert line.waiting == 0
+        line.put(b"H")
+        await asyncio.sleep(1)
+        assert [(at_ns - begun_ns, data) for at_ns, data in arrived[:-1]] == [
+            (3 * CHAR_NS, b"AB\r"),
+            (7 * CHAR_NS, b"CDE\r"),
+            (8 * CHAR_NS, b"F"),
+            (9 * CHAR_NS, b"G"),
+        ]
+
+    run_virtual(test)
+    assert arrived[-1][1] == b"H"
