@@ -3,13 +3,13 @@
 import asyncio
 from collections.abc import Iterable
 
-from adapters.contract import CannotDo, DriverFault, Identity
+from adapters.contract import DriverFault, Identity
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import VARIABLES, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
-from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
 from orchestrator.link.base import LinkClosed, OpenLink
 
 THREADS = 8  # L12258
@@ -130,10 +130,16 @@ class Device:
         return AXIS_LETTERS[: self.format.axes]
 
     async def record(self) -> Record:
-        """Everything that changes, in one exchange."""
+        """Everything that changes, in one exchange; feeds the clock."""
+        record, _ = await self._read_record()
+        return record
+
+    async def _read_record(self) -> tuple[Record, bool]:
+        """A record, and whether its sample number went on from the last reading."""
         layout = self.format
         answer = await self.session.ask_record(layout.command, layout.header, layout.length)
-        return layout.parse(answer.record, answer.sent_ns, answer.received_ns)
+        record = layout.parse(answer.record, answer.sent_ns, answer.received_ns)
+        return record, self.samples.take_low(self._earliest_ns(record.sent_ns), record.received_ns, record.sample)
 
     async def poll(self) -> tuple[Record, bool]:
         """A record that also feeds the clock; and whether the controller was restarted since the last one."""
@@ -142,18 +148,22 @@ class Device:
         if self._must_reconnect:
             # It lost its settings and maybe its program with its counter: begin again from `connect`.
             raise LinkClosed("the controller was restarted; it is connected again from the beginning")
-        record = await self.record()
-        if not self.samples.take_low(record.sent_ns, record.received_ns, record.sample):
-            before = self._restarted
-            await self._read_time()
-            self._must_reconnect = self._restarted and not before
+        record, went_on = await self._read_record()
+        if not went_on:
+            self._must_reconnect = not await self._read_time()
         restarted, self._restarted = self._restarted, False
         return record, restarted
 
-    async def _read_time(self) -> None:
+    async def _read_time(self) -> bool:
+        """Read the whole counter. False when the controller was restarted since the last reading."""
         (ticks,), answer = await self.session.numbers("TIME")
-        if not self.samples.take_whole(answer.sent_ns, answer.received_ns, int(ticks)):
-            self._restarted = True
+        went_on = self.samples.take_whole(self._earliest_ns(answer.sent_ns), answer.received_ns, int(ticks))
+        self._restarted |= not went_on
+        return went_on
+
+    def _earliest_ns(self, sent_ns: int) -> int:
+        """The earliest instant at which a command sent at `sent_ns` can have read the counter."""
+        return sent_ns + self._options.decode_min_us * NS_PER_US
 
     async def read_back(self, command: str, axes: Iterable[int]) -> dict[int, int]:
         """What `command` holds for axes, by index, whatever number format a person has set."""
@@ -163,9 +173,15 @@ class Device:
 
     def stop(self, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""
-        if self._stops is None:
-            raise CannotDo("offline", "the controller is not connected", "check power and cable")
-        self._stops.write(*stop_commands(abort))
+        commands = stop_commands(abort)
+        if self._stops is not None:
+            try:
+                self._stops.write(*commands)
+                return
+            except LinkClosed:
+                # Its end is not yet noticed elsewhere. The other handle may still be there.
+                pass
+        self.session.shout(*commands)
 
 
 def stop_commands(abort: bool) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def move_commands(moves: tuple[AxisMove, ...]) -> tuple[str, ...]:
 
 def begin_ticks(options: Options, tick_ns: float) -> tuple[int, int]:
     """Between how many samples after XT0 the moves begin: BG takes effect some time after it, at a whole sample."""
-    first = math.floor(options.begin_min_us * NS_PER_US / tick_ns) + 1
+    first = math.floor(options.decode_min_us * NS_PER_US / tick_ns) + 1
     last = math.floor(options.begin_max_us * NS_PER_US / tick_ns) + 1
     return first, max(first, last)
 

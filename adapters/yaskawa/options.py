@@ -20,10 +20,12 @@ class Options(Model):
         default=1000, ge=250, le=20000, description="TM as the unit is set up; 1000 means 1/1024 s (L10619)."
     )
     decode_us: Microseconds = Field(default=500, description="From a command's last character to its effect, µs.")
-    begin_min_us: Microseconds = Field(
-        default=250, description="From the sample that ends the wait to BG's effect, at least, µs."
+    decode_min_us: Microseconds = Field(
+        default=250, description="The same, at the least, µs: a reading of the counter is no older than this."
     )
-    begin_max_us: Microseconds = Field(default=1500, description="The same, at the most, µs.")
+    begin_max_us: Microseconds = Field(
+        default=1500, description="From the sample that ends the wait to BG's effect, at the most, µs."
+    )
     round_trip_us: Microseconds = Field(
         default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
     )

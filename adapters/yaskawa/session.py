@@ -8,7 +8,7 @@ gets one prompt or several. Text that nobody asked for comes as whole lines befo
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -64,6 +64,7 @@ class Session:
         self._markers = 0
         # Until a marker has come back, bytes of somebody's earlier command may be under way.
         self._in_step = False
+        self._shouted = False
         self.unsolicited: deque[str] = deque(maxlen=20)
 
     async def tell(self, command: str) -> None:
@@ -124,6 +125,11 @@ class Session:
                 raise await self._refusal(command)
             self._in_step = True
             return Answer([], record, sent_ns, self._at_ns)
+
+    def shout(self, *commands: str) -> None:
+        """Write at once, whatever is under way, each command in a packet of its own; replies are sorted out later."""
+        self._shouted = True
+        write_each(self._link, commands)
 
     async def download(self, lines: tuple[str, ...]) -> None:
         """Replace the program (DL, L4128): no prompt until control Z ends it."""
@@ -200,8 +206,9 @@ class Session:
 
     async def _get_in_step(self) -> None:
         """Flush what was half typed, and read away everything up to the reply of a marker that is new each time."""
-        if self._in_step:
+        if self._in_step and not self._shouted:
             return
+        self._shouted = False
         self._markers += 1
         marker = f"<{self._markers}>"
         end = marker.encode() + b"\r\n:"
@@ -287,6 +294,12 @@ def parse_reply(buffer: bytes | bytearray) -> _Parsed | None:
     return None
 
 
+def write_each(link: Link, commands: Iterable[str]) -> None:
+    """Each command in a packet of its own, so that a refused one takes no other with it."""
+    for command in commands:
+        link.write(command.encode("ascii") + b"\r")
+
+
 class StopHandle:
     """A handle for stops alone: written at any moment, its replies read away so that none is ever waited for."""
 
@@ -299,9 +312,8 @@ class StopHandle:
         return not self._drain.done()
 
     def write(self, *commands: str) -> None:
-        """Each command in a packet of its own, so that a refused one takes no other with it."""
-        for command in commands:
-            self._link.write(command.encode("ascii") + b"\r")
+        """At once. Raises `LinkClosed`."""
+        write_each(self._link, commands)
 
     async def close(self) -> None:
         self._drain.cancel()

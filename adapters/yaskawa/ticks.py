@@ -10,6 +10,9 @@ from orchestrator.clock.estimator import MAX_PPM, Sample, TickEstimator, TickMap
 SAMPLES_PER_S = 1024  # at TM 1000 (L10619-10622)
 LONGEST_GAP_NS = 20 * NS_PER_S  # after this long, and this often, the whole counter is read
 REFRESH_NS = NS_PER_S  # a mapping stays good for far longer; its bound says how good
+# The estimator keeps a fixed number of readings: the more time they span, the better the rate is known. So it is given
+# all of them while it is young, and then the one of each second that was answered fastest.
+YOUNG = 64
 
 
 class SampleClock:
@@ -23,6 +26,7 @@ class SampleClock:
         self._mapping: TickMapping | None = None
         self._mapping_ns = 0
         self._taken = 0
+        self._fastest: Sample | None = None
 
     def take_whole(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
         """A reading of TIME. False when the counter did not go on from the last one: the controller was restarted."""
@@ -51,6 +55,7 @@ class SampleClock:
         self._last = None
         self._mapping = None
         self._taken = 0
+        self._fastest = None
 
     def mapping(self) -> TickMapping | None:
         """The present estimate; computed again when it is a second old, or still young and improving."""
@@ -65,7 +70,18 @@ class SampleClock:
     def _add(self, sample: Sample) -> None:
         self._last = sample
         self._taken += 1
-        self._estimator.add(sample)
+        if self._taken <= YOUNG:
+            self._estimator.add(sample)
+            return
+        fastest = self._fastest
+        if fastest is not None and sample.sent_ns // REFRESH_NS != fastest.sent_ns // REFRESH_NS:
+            self._estimator.add(fastest)
+            if sample.sent_ns - fastest.sent_ns > 2 * REFRESH_NS:
+                # After a pause the newest is worth more than the fastest.
+                self._estimator.add(sample)
+            fastest = None
+        if fastest is None or sample.received_ns - sample.sent_ns < fastest.received_ns - fastest.sent_ns:
+            self._fastest = sample
 
     def _fits(self, sample: Sample) -> bool:
         last = self._last

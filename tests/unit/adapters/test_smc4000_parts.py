@@ -1,0 +1,152 @@
+"""The parts of the SMC-4000's adapter by themselves: replies, registers, program, fleet file."""
+
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
+
+from adapters.contract import CannotDo
+from adapters.yaskawa.program import VARIABLES, program
+from adapters.yaskawa.session import MAX_LINE, parse_reply
+from adapters.yaskawa.smc4000 import MAKE
+from adapters.yaskawa.trapezoid import RAMP_UNIT, SPEED_UNIT, Bounds, fit
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.fleet import Controller
+from orchestrator.model.profile import Profile
+
+
+@pytest.mark.parametrize(
+    ("data", "lines", "refused"),
+    [
+        (b":", [], False),
+        (b"?", [], True),
+        (b"\r\n:", [], False),
+        (b" 0000000100\r\n:", ["0000000100"], False),
+        (b"a:b\r\n?003 BGX\r\n 5\r\n:", ["a:b", "?003 BGX", "5"], False),
+        (b"#A\r\n\x1a\r\n:", ["#A"], False),
+    ],
+)
+def test_a_reply_is_its_lines_and_its_prompt(data: bytes, lines: list[str], refused: bool):
+    parsed = parse_reply(data)
+    assert parsed is not None
+    assert (parsed.lines, parsed.refused, parsed.used) == (lines, refused, len(data))
+    # A question mark that came alone in a packet may be the prompt; all other beginnings wait for more.
+    assert all(parse_reply(data[:n]) is None or data[n - 1 : n] == b"?" for n in range(1, len(data)))
+
+
+def test_registers_never_exceed_the_limits_in_host_time():
+    draw = Random(7)
+    for _ in range(500):
+        tick_ns = 976_562.5 * (1 + draw.uniform(-1e-4, 1e-4))
+        speed, ramp = draw.uniform(5_000, 100_000), draw.uniform(30_000, 1_000_000)
+        profile = trapezoid(0, draw.randrange(1_000, 300_000), speed, ramp, draw.choice((1.0, draw.uniform(1, 1.4))))
+        move = fit("x", profile, Bounds(speed, ramp), tick_ns, 1000)
+        tick_s = tick_ns * 1e-9
+        assert move.speed % 2 == 0 and move.ramp % 1024 == 0
+        assert move.speed / SPEED_UNIT / tick_s <= speed * (1 + 1e-6)
+        assert move.ramp / RAMP_UNIT / tick_s**2 <= ramp * (1 + 1e-6)
+        assert move.samples >= round(profile.duration_s / tick_s)
+
+
+def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_answer():
+    tick_ns = 976_500.0
+    profile = trapezoid(0, 100_000, 80_001.0, 500_500.0)
+    first = fit("x", profile, Bounds(80_001.0, 500_500.0), tick_ns, 1000)
+    answer_s = first.samples * tick_ns * 1e-9
+    assert answer_s > profile.duration_s
+    again = profile.stretched(answer_s / profile.duration_s)
+    second = fit("x", again, Bounds(80_001.0, 500_500.0), tick_ns, 1000)
+    assert second.samples * tick_ns * 1e-9 == pytest.approx(answer_s, abs=tick_ns * 0.5e-9)
+
+
+@pytest.mark.parametrize(
+    ("profile", "code"),
+    [
+        (Profile(0, 100, 100.0, [1.0, 1.0], [0.0, 1.0], [1.0, -1.0]), "order"),
+        (Profile(0, 150, 100.0, [1.0, 0.5, 2.0], [1.0, 0.0, -0.5], [0.0] * 3), "shape"),
+        (trapezoid(0, 10, 1.0, 10.0), "too-slow"),
+    ],
+)
+def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
+    with pytest.raises(CannotDo) as refusal:
+        fit("x", profile, Bounds(1e5, 1e6), 976_562.5, 1000)
+    assert refusal.value.refusal.code == code
+    assert "axis x" in refusal.value.refusal.text
+
+
+def test_the_program_keeps_the_controllers_rules():
+    lines = program(4)
+    labels = [line.split(";")[0] for line in lines if line.startswith("#")]
+    assert len(lines) <= 2000 and all(len(line) <= MAX_LINE for line in lines)
+    assert all(1 < len(label) <= 8 for label in labels) and len(set(labels)) == len(labels)
+    assert all(len(name) <= 8 and name[0] == "X" and name[:2] != "XQ" for name in VARIABLES)
+    # Nothing stands between the wait and the begin.
+    waits = [line for line in lines if "WT XT0-TIME" in line]
+    assert len(waits) == 16
+    assert all(line.startswith("WT XT0-TIME;BG") for line in waits[1:])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"link": {"kind": "serial", "device": "/dev/ttyUSB0"}}, "link.kind"),
+        ({"axes": {"x": {"motors": ["Q"], "unit": "mm", "limits": LIMITS}}}, "no motor 'Q'"),
+        (
+            {
+                "axes": {
+                    "x": {"motors": ["X"], "unit": "mm", "limits": LIMITS},
+                    "y": {"motors": ["A"], "unit": "mm", "limits": LIMITS},
+                }
+            },
+            "other name",
+        ),
+        ({"inputs": {"i": {"number": 9}}}, "inputs.i.number: 9"),
+        ({"options": {"nonsense": 1}}, "options.nonsense"),
+        ({"options": {"motor_type": {"q": 1}}}, "no axis q"),
+        (
+            {"axes": {"x": {"motors": ["X"], "unit": "mm", "limits": LIMITS, "homing": {"method": "magic"}}}},
+            "homing.method: 'magic'",
+        ),
+    ],
+)
+def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
+    with pytest.raises(ValueError, match=words):
+        MAKE.check(Controller.model_validate(FLEET | change))
+
+
+@pytest.mark.parametrize("halts", [True, False])
+@pytest.mark.parametrize("before_ms", [-300, 1, 300])
+def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, "auto", mapping)
+        t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
+        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.go()
+        await sleep_ns(world.clock, t0_ns - before_ms * NS_PER_MS - world.clock.now_ns())
+        link = await world.wire.open()
+        link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
+        await sleep_ns(world.clock, 3000 * NS_PER_MS)
+        assert world.controller.at_rest()
+        assert abs(world.controller.position("X")) < 50_000
+
+    run(main, options={"st_halts_programs": halts})
+
+
+def test_a_stop_goes_out_by_the_other_handle_when_its_own_is_closed():
+    async def main(world: World) -> None:
+        await world.ready()
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, "auto", mapping)
+        t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
+        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.go()
+        world.wire.links[1].hang_up()
+        await world.driver.stop(False)
+        await sleep_ns(world.clock, 3000 * NS_PER_MS)
+        assert not world.controller.motions
+        assert float(await world.driver.raw("MG 7")) == 7
+
+    run(main)
