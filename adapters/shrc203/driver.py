@@ -32,6 +32,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.profile import Profile
 
+_RAMP_NS = NS_PER_S  # the longest ramp of a stop
 # While a completion is owed, `1` could be the answer to these as well.
 _DIGIT_QUERIES = ("?:", "I:", "PIT:GET", "PAV:GET", "MS:")
 
@@ -57,7 +58,9 @@ class ShrcDriver(Driver):
         link = await self._setup.open_link()
         session = Session(link, self._clock, max(link.char_ns, self._char_ns), self._options.answer_ms * NS_PER_MS)
         unit = self._unit = UnitState(session)
-        self._mover = Mover(self._options, self._clock, self._setup.firer, unit)
+        longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
+        settle_ns = round(longest_s * NS_PER_S) + _RAMP_NS
+        self._mover = Mover(self._options, self._clock, self._setup.firer, unit, settle_ns)
         self._poller = Poller(self._config, self._options, self._clock, unit)
         identity = await startup.identify(session)
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
@@ -82,6 +85,8 @@ class ShrcDriver(Driver):
         reading = await self._poller.poll()
         if reading.restarted:
             await self._recover(self._connected())
+        elif self._connected().untidy and not any(axis.moving for axis in reading.axes.values()):
+            await self._moving().tidy()
         return reading
 
     # A step

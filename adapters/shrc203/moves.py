@@ -1,5 +1,6 @@
 """One move of a unit: loaded, checked, started by one line at an instant, followed to its end."""
 
+import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import ceil, floor
@@ -8,7 +9,7 @@ from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, 
 from adapters.shrc203.axes import letter
 from adapters.shrc203.lowering import AxisMove, ShrcLowered
 from adapters.shrc203.options import Options
-from adapters.shrc203.replies import COMMAND, REFUSALS, STATUS, AxisStatus, amounts, entries, status
+from adapters.shrc203.replies import REFUSALS, STATUS, AxisStatus, amounts, entries, status
 from adapters.shrc203.session import EOL, Pending, Session
 from adapters.shrc203.status import ERRORS, why_stopped
 from adapters.shrc203.unitstate import UnitState
@@ -30,6 +31,7 @@ class Move:
     pending: Pending | None = None
     started: Span | None = None
     stopped_ns: int | None = None
+    taken_back: bool = False
     seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
 
     @property
@@ -38,13 +40,14 @@ class Move:
 
 
 class Mover:
-    """Arms, starts and follows moves of one connection."""
+    """Arms, starts and follows moves of one connection. settle_ns: how long axes may stay BUSY after their end."""
 
-    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState) -> None:
+    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState, settle_ns: int) -> None:
         self._options = options
         self._clock = clock
         self._firer = firer
         self._unit = unit
+        self._settle_ns = settle_ns
         self.move: Move | None = None
 
     @property
@@ -55,6 +58,10 @@ class Mover:
 
     async def arm(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load the prebuffers and read everything back. Raises `CannotDo`."""
+        async with self._unit.loading:
+            return await self._arm(lowered, t0_ns)
+
+    async def _arm(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         began_ns = self._clock.now_ns()
         if self.move is not None:
             raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
@@ -64,16 +71,17 @@ class Mover:
         motors = {each.motor for each in lowered.moves}
         # Something in an execution buffer would run before what is loaded here.
         await self._session.tell(f"GC:{letter(motors)}")
-        await self._session.tell(lowered.load)
+        move = self.move = Move(lowered, t0_ns)
+        text = await self._session.tell_and_hear(lowered.load)
         loaded_ns = self._clock.now_ns()
-        self.move = Move(lowered, t0_ns)
-        text = await self._session.ask("?:CMD", COMMAND)
-        if text.upper() != lowered.load:
+        if text != lowered.load:
             raise CannotDo(
                 "load-garbled", f"sent {lowered.load!r}, the unit has understood {text!r}", "check the cable; arm again"
             )
         await self._check_rest(lowered.moves)
-        await self._check_loaded(self.move)
+        await self._check_loaded(move)
+        if self.move is not move:
+            raise CannotDo("stopped", "a stop came while arming", "")
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
     async def verify(self) -> None:
@@ -97,6 +105,7 @@ class Mover:
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
         self._session.owe(move.motors)
+        self._session.keep_quiet(latest_ns, at_ns)
         move.pending = self._session.expect(move.lowered.start, latest_ns)
         move.order = self._firer.schedule(self._session.link, data, at_ns, latest_ns)
 
@@ -105,10 +114,20 @@ class Mover:
         move, self.move = self.move, None
         if move is not None:
             self._take_back(move)
-        await self._unit.buffers.make_harmless(self._unit.excited)
+        async with self._unit.loading:
+            await self._unit.buffers.make_harmless(self._unit.excited)
+            self._unit.untidy = False
+
+    async def tidy(self) -> None:
+        """Empty the prebuffers that a stop has left, once nothing is loaded or under way."""
+        async with self._unit.loading:
+            if self._unit.untidy and self.move is None:
+                await self._unit.buffers.make_harmless(self._unit.excited)
+                self._unit.untidy = False
 
     def interrupted(self, at_ns: int) -> None:
         """A stop was written at that instant."""
+        self._unit.untidy = True
         move = self.move
         if move is None:
             return
@@ -121,8 +140,10 @@ class Mover:
         """Cancel the order to fire; whether nothing was or will be written."""
         if move.order is None or not move.order.cancel():
             return False
+        move.taken_back = True
         if move.pending is not None:
             self._session.forget(move.pending)
+        self._session.end_quiet()
         self._session.owe_nothing()
         return True
 
@@ -139,7 +160,12 @@ class Mover:
         if not move.lowered.moves:
             return {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s}
         assert move.order is not None and move.pending is not None and move.pending.reply is not None
-        fired = await move.order.done()
+        try:
+            fired = await move.order.done()
+        except asyncio.CancelledError:
+            if not move.taken_back:
+                raise
+            raise DriverFault("not-started", "the order to start was taken back", "") from None
         if fired.late:
             self._session.forget(move.pending)
             self._session.owe_nothing()
@@ -180,12 +206,15 @@ class Mover:
         session = self._session
         longest_s = max(move.lowered.durations_s.values())
         look_ns = move.started.latest_ns + self._slow_ns(longest_s) + _COMPLETION_LATE_NS
+        give_up_ns = look_ns + self._settle_ns
         while session.owed:
             await session.wait_changed(look_ns)
             if session.owed and (move.stopped_ns is not None or await self._at_rest(move)):
                 break
+            if self._clock.now_ns() > give_up_ns:
+                break
             look_ns = max(look_ns, self._clock.now_ns() + _LOOK_NS)
-        rest_ns = await self._wait_for_rest(move)
+        rest_ns = await self._wait_for_rest(move, self._clock.now_ns() + self._settle_ns)
         completed = dict(session.completed)
         session.owe_nothing()
         ended = {
@@ -195,6 +224,9 @@ class Mover:
         error = False
         for each in move.lowered.moves:
             now = move.seen[each.motor]
+            if now.busy:
+                error = True
+                reasons.append(f"axis {each.name} does not come to rest")
             arrived = now.counts == each.start_counts + each.distance
             error = error or bool(now.word & ERRORS)
             if not arrived or now.word & ERRORS:
@@ -232,9 +264,9 @@ class Mover:
         move.seen = now
         return not any(now[motor].busy for motor in move.motors)
 
-    async def _wait_for_rest(self, move: Move) -> int:
-        """Until all axes of the move are READY; the instant at which that was seen."""
-        while not await self._at_rest(move):
+    async def _wait_for_rest(self, move: Move, until_ns: int) -> int:
+        """Until all axes of the move are READY, or that instant; gives the instant of the last look."""
+        while not await self._at_rest(move) and self._clock.now_ns() < until_ns:
             await sleep_ns(self._clock, _LOOK_NS)
         return self._clock.now_ns()
 

@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.shrc203.replies import ANYTHING, DONE, MODE, REFUSALS, Form, refusal
+from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, Form, refusal
 from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
 
@@ -67,6 +67,7 @@ class Session:
         self._astray = True  # nobody knows what was said before
         self._searching = False
         self._closed: LinkClosed | None = None
+        self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read())
         self.owed: set[int] = set()
         self.completed: dict[int, int] = {}
@@ -110,6 +111,16 @@ class Session:
         line = await self._exchange(command, DONE)
         return line.text not in REFUSALS
 
+    async def tell_and_hear(self, command: str) -> str:
+        """Give a setting; what the unit has understood of it (`?:CMD`), with nothing said in between."""
+        async with self._turn:
+            await self._prepare()
+            line = await self._once(command, DONE)
+            if line.text not in REFUSALS:
+                return (await self._once("?:CMD", COMMAND)).text.upper()
+        said = refusal(command)
+        raise CannotDo(said.code, said.text, said.remedy)
+
     async def converse(self, command: str) -> str:
         """Any line, and whatever is said to it."""
         return (await self._exchange(command, ANYTHING)).text
@@ -141,6 +152,13 @@ class Session:
         """No completion can come any more."""
         self.owed = set()
 
+    def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
+        """Begin no exchange that would still be on the line when another writer writes, at `line_at_ns`."""
+        self._quiet = (line_at_ns - self._answer_ns // 10 - self.wire_ns(2 * LONGEST_REPLY), until_ns)
+
+    def end_quiet(self) -> None:
+        self._quiet = (0, 0)
+
     def wire_ns(self, characters: int) -> int:
         """How long so many characters are on the wire."""
         return characters * self.char_ns
@@ -149,9 +167,14 @@ class Session:
 
     async def _exchange(self, command: str, form: Form) -> Line:
         async with self._turn:
-            if self._astray:
-                await self._find_step()
+            await self._prepare()
             return await self._once(command, form)
+
+    async def _prepare(self) -> None:
+        while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
+            await sleep_ns(self._clock, NS_PER_MS)
+        if self._astray:
+            await self._find_step()
 
     async def _once(self, command: str, form: Form) -> Line:
         pending = self._enqueue(command, form, awaited=True)

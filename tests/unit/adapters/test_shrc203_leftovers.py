@@ -1,0 +1,332 @@
+"""What a person, another program or a power cut leaves behind, and units of other kinds."""
+
+import asyncio
+from collections.abc import Mapping
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.shrc203 import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+
+
+async def by_hand(bench: Bench, *lines: str, end: str = "\r\n") -> None:
+    """Somebody else types at the unit, and goes."""
+    link = await bench.wire.open()
+    for line in lines:
+        link.write((line + end).encode())
+        await sleep_ns(bench.clock, 100 * NS_PER_MS)
+    await link.close()
+    await sleep_ns(bench.clock, 5 * NS_PER_MS)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("MP:A+P500+P700",),
+        ("AP:1+P500",),
+        ("KP:A+P1000+P200",),
+        ("EP:1A0+P100-P200D90",),
+        ("WI:1,1", "G:1", "MP:1+P500"),
+        ("WT:A,2000,2000", "G:A", "MP:A+P500+P600"),
+        ("WI:W,5,5,5", "G", "AP:W+P500+P600+P700"),
+        ("WI:1,1",),
+        ("P:R",),
+        ("MODE:MANUAL",),
+        ("MODE:REMOTE",),
+        ("BEC:1", "nonsense"),
+    ],
+)
+@pytest.mark.parametrize("strict", [False, True])
+def test_leftovers_never_move_and_are_gone_after_connecting(lines: tuple[str, ...], strict: bool) -> None:
+    async def case(bench: Bench) -> None:
+        await by_hand(bench, *lines)
+        await bench.ready()
+        await bench.driver.raw("G")
+        for number in range(1, 7):
+            bench.unit.set_input(number, number == 1)
+        await sleep_ns(bench.clock, 2 * NS_PER_S)
+        assert not bench.moved()
+        await bench.start({"x": 2000, "y": -3000})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+        assert [each.end_counts for each in bench.moved()] in ([2000, -3000], [-3000, 2000])
+
+    run(
+        case, simulate={"standby_needs_running": strict, "standby_completion": strict, "standby_reply_deferred": strict}
+    )
+
+
+def test_a_half_typed_line_does_not_harm() -> None:
+    async def case(bench: Bench) -> None:
+        await by_hand(bench, "M:1+P100", end="")
+        await bench.ready()
+        assert not bench.moved()
+        await bench.driver.raw("G")
+        await sleep_ns(bench.clock, NS_PER_S)
+        await bench.start({"x": 2000})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case)
+
+
+def test_a_moving_unit_is_not_stopped() -> None:
+    async def case(bench: Bench) -> None:
+        await by_hand(bench, "MP:1+P3000", "G:1")
+        await bench.ready()
+        (motion,) = bench.moved()
+        assert motion.end_counts == 3000
+
+    run(case)
+
+
+def test_a_unit_that_never_rests_is_named() -> None:
+    async def case(bench: Bench) -> None:
+        await by_hand(bench, "J:1+", "G:1")
+        with pytest.raises(DriverFault) as caught:
+            await bench.driver.connect()
+        assert caught.value.fault.code == "moving"
+        await bench.driver.stop(False)
+        await sleep_ns(bench.clock, NS_PER_S)
+        assert bench.unit.at_rest()
+
+    run(case, options={"busy_wait_s": 2})
+
+
+def test_an_emergency_stop_is_reported_and_cleared_by_a_reset_only() -> None:
+    async def case(bench: Bench) -> None:
+        await by_hand(bench, "L:E")
+        await bench.ready()
+        reading = await bench.driver.poll()
+        assert {fault.code for fault in reading.faults} == {"emergency-stop"}
+        await bench.driver.clear_faults()
+        reading = await bench.driver.poll()
+        assert not reading.faults and not reading.axes["x"].enabled
+        await bench.driver.enable(["x"], True)
+        assert (await bench.driver.poll()).axes["x"].enabled
+
+    run(case)
+
+
+@pytest.mark.parametrize("when", ["idle", "armed", "released", "moving"])
+def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        if when == "armed":
+            await bench.arm({"x": 5000})
+        elif when != "idle":
+            t0_ns = await bench.start({"x": 80_000})
+            if when == "moving":
+                await bench.driver.started()
+                await sleep_ns(bench.clock, t0_ns + 200 * NS_PER_MS - bench.clock.now_ns())
+        bench.wire.links[-1].write(b"RESET:\r\n")
+        if when == "armed":
+            await sleep_ns(bench.clock, 3500 * NS_PER_MS)
+            with pytest.raises(CannotDo):
+                await bench.driver.verify()
+        elif when == "released":
+            with pytest.raises(DriverFault):
+                await bench.driver.started()
+                await bench.driver.outcome()
+        await sleep_ns(bench.clock, 3500 * NS_PER_MS)
+        assert (await bench.driver.poll()).restarted
+        assert not (await bench.driver.poll()).restarted
+        await bench.driver.disarm()
+        await bench.start({"x": 1234})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case)
+
+
+@pytest.mark.parametrize("names", ["x", "z", "xz", "yz"])
+@pytest.mark.parametrize("fixed", [None, 2])
+def test_units_with_fewer_controllable_axes(names: str, fixed: int | None) -> None:
+    async def case(bench: Bench) -> None:
+        draw = Random(names)
+        await bench.ready()
+        for _ in range(4):
+            targets = {name: draw.randrange(-9000, 9000) for name in names}
+            await bench.start(targets)
+            await bench.driver.started()
+            await bench.driver.poll()
+            assert (await bench.driver.outcome()).state == "done"
+            reading = await bench.driver.poll()
+            assert {name: axis.commanded_counts for name, axis in reading.axes.items()} == targets
+        await bench.driver.home(list(names))
+
+    simulate = {"controllable": [int(NAMES[name]) for name in names], "fixed_decimals": fixed}
+    run(case, config=controller(names), simulate=simulate)
+
+
+@pytest.mark.parametrize(
+    ("simulate", "options", "said"),
+    [
+        ({"controllable": [1, 2]}, {}, "controllable"),
+        ({"divide": 200}, {}, "nm per pulse"),
+        ({}, {"nm_per_pulse": 10}, "nm_per_pulse"),
+    ],
+)
+def test_a_unit_of_another_configuration_is_refused(
+    simulate: Mapping[str, Any], options: Mapping[str, Any], said: str
+) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.driver.connect()
+        with pytest.raises(DriverFault, match=said) as caught:
+            await bench.driver.configure()
+        assert caught.value.fault.code == "config-mismatch"
+
+    run(case, simulate=simulate, options=options)
+
+
+def test_inputs_and_outputs() -> None:
+    config = controller(inputs={"door": {"number": 2}}, outputs={"lamp": {"number": 1}, "valve": {"number": 4}})
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        bench.unit.set_input(2, True)
+        await bench.driver.set_output(4, True)
+        await bench.driver.set_output(1, True)
+        await bench.driver.set_output(4, False)
+        reading = await bench.driver.poll()
+        assert reading.inputs[2] and not reading.inputs[1]
+        assert reading.outputs[1] and not reading.outputs[4]
+        assert bench.unit.output(1) and not bench.unit.output(4)
+        await bench.start({"x": 40_000, "y": 8_000})
+        await bench.driver.started()
+        for _ in range(6):  # the input word is 2 while completions 1 and 2 are owed
+            reading = await bench.driver.poll()
+            assert reading.inputs[2] and not reading.inputs[1]
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case, config=config)
+
+
+@pytest.mark.parametrize("settle_ms", [0, 40])
+def test_a_closed_loop(settle_ms: int) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 20_000})
+        await bench.driver.started()
+        outcome = await bench.driver.outcome()
+        assert outcome.state == "done"
+        (motion,) = bench.moved()
+        assert motion.end_ns is not None
+        assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
+
+    run(case, simulate={"scales": True, "settle_ms": settle_ms}, options={"loop": "closed"})
+
+
+def test_a_stop_with_one_motor_off_stops_the_others() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.driver.enable(["z"], False)
+        await bench.start({"x": 90_000, "y": 80_000})
+        await bench.driver.started()
+        await bench.driver.stop(False)
+        assert (await bench.driver.outcome()).state == "stopped"
+        with pytest.raises(CannotDo):
+            await bench.arm({"z": 100})
+        await bench.driver.disarm()
+
+    run(case)
+
+
+def test_a_stop_from_a_link_of_its_own() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 90_000, "y": 80_000})
+        await bench.driver.started()
+        link = await bench.wire.open()
+        link.write(MAKE.stop_bytes(bench.config))
+        await sleep_ns(bench.clock, 500 * NS_PER_MS)
+        assert bench.unit.at_rest()
+        assert (await bench.driver.outcome()).state == "fault"
+
+    run(case)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_stops_at_any_moment_leave_nothing_that_moves(seed: int) -> None:
+    async def case(bench: Bench) -> None:
+        draw = Random(seed)
+        await bench.ready()
+        for _ in range(4):
+            t0_ns = await bench.start({"x": draw.randrange(5_000), "y": draw.randrange(-5_000, 0)})
+            await sleep_ns(bench.clock, max(0, t0_ns - bench.clock.now_ns()) + draw.randrange(-5, 8) * NS_PER_MS)
+            await bench.driver.stop(False)
+            await bench.driver.disarm()
+            await sleep_ns(bench.clock, NS_PER_S)
+            count = len(bench.moved())
+            await bench.driver.raw("G")
+            await sleep_ns(bench.clock, NS_PER_S)
+            assert len(bench.moved()) == count
+
+    run(case, seed=seed, simulate={"stop_keeps_prebuffer": bool(seed % 2)})
+
+
+def test_a_stop_while_armed_is_tidied_up_by_the_next_poll() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.arm({"x": 5000})
+        await bench.driver.stop(False)
+        await bench.driver.poll()
+        await bench.driver.raw("G")
+        await sleep_ns(bench.clock, NS_PER_S)
+        assert not bench.moved()
+        with pytest.raises(CannotDo):
+            await bench.driver.go()
+
+    run(case)
+
+
+def test_polls_beside_everything_harm_nothing() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+
+        async def poll() -> None:
+            while True:
+                await bench.driver.poll()
+
+        task = asyncio.get_running_loop().create_task(poll())
+        draw = Random(5)
+        for _ in range(8):
+            targets = {name: draw.randrange(-20_000, 20_000) for name in "xyz"}
+            seen = len(bench.unit.motions)
+            t0_ns = await bench.start(targets)
+            started = await bench.driver.started()
+            assert (await bench.driver.outcome()).state == "done"
+            for motion in bench.unit.motions[seen:]:
+                assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
+                assert -1 * NS_PER_MS < motion.start_ns - t0_ns < 2.3 * NS_PER_MS
+        task.cancel()
+
+    run(case)
+
+
+def test_a_start_that_was_taken_back_is_not_waited_for() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 5000})
+        waiting = asyncio.get_running_loop().create_task(bench.driver.started())
+        await sleep_ns(bench.clock, NS_PER_MS)
+        await bench.driver.stop(False)
+        with pytest.raises(DriverFault, match="taken back"):
+            await waiting
+
+    run(case)
+
+
+def test_an_axis_that_does_not_settle_is_a_fault() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 20_000})
+        await bench.driver.started()
+        outcome = await bench.driver.outcome()
+        assert outcome.state == "fault" and "does not come to rest" in outcome.reason
+
+    run(case, simulate={"scales": True, "settle_ms": 60_000}, options={"loop": "closed"})
