@@ -30,7 +30,10 @@ class Options(Model):
         default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
     )
     lead_s: float = Field(
-        default=4.0, gt=0, le=60, description="Time from arming to the start that the clock's drift is budgeted for, s."
+        default=5.0,
+        gt=0,
+        le=60,
+        description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
     )
     motor_type: dict[Id, float] = Field(
         default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."

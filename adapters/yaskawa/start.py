@@ -203,7 +203,7 @@ class Start:
         moves = loaded.lowered.moves
         seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in moves}
         ended: dict[str, Span] = {}
-        end_ns = loaded.t0_ns + max(round(s * 1e9) for s in loaded.lowered.durations_s.values())
+        planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
         while True:
             record = await self._device.record()
             for move in moves:
@@ -213,7 +213,8 @@ class Start:
                     ended[move.axis] = Span(seen_ns[move.axis], record.received_ns)
             if len(ended) == len(moves):
                 break
-            left_ns = end_ns + SETTLE_NS - self._clock.now_ns()
+            # Look again soon after the next planned end: the stamps tell the last end only.
+            left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             await sleep_ns(self._clock, min(WATCH_NS, left_ns) if left_ns > 0 else SETTLE_NS)
         reasons = {move.axis: self._reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
@@ -244,10 +245,16 @@ class Start:
         have ended long before. It can not have ended before its profile was through, counted from its start.
         """
         moves = loaded.lowered.moves
-        stamps, _ = await self._device.session.numbers("XDONE", *(f"XE{move.index + 1}" for move in moves))
+        until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
+        while True:
+            stamps, _ = await self._device.session.numbers("XDONE", *(f"XE{move.index + 1}" for move in moves))
+            if stamps[0]:
+                break
+            if self._clock.now_ns() > until_ns:
+                return
+            # The axes are through, the program's last lines not yet.
+            await sleep_ns(self._clock, SETTLE_NS)
         mapping = self._device.samples.mapping() or loaded.mapping
-        if not stamps[0]:
-            return
         for move, stamp in zip(moves, stamps[1:], strict=True):
             start, seen = loaded.started[move.axis], ended[move.axis]
             if not move.shape.samples:

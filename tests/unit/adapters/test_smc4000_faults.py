@@ -289,6 +289,24 @@ def test_homing_methods(method: str, options: dict[str, Any]):
     run(main, fleet=FLEET | {"axes": {"x": axis}}, options=options)
 
 
+def test_a_moving_controller_is_connected_to_without_being_stopped():
+    async def main(world: World) -> None:
+        await world.ready()
+        for line in ("PA 60000", "SP 20000", "BGX"):
+            await world.talk(line)
+        await sleep_ns(world.clock, 500 * NS_PER_MS)
+        driver = world.other()
+        await driver.connect()
+        await driver.configure()
+        assert (await driver.poll()).axes["x"].moving
+        with pytest.raises(CannotDo, match="while running"):
+            await driver.enable(["x"], False)
+        await sleep_ns(world.clock, 4 * NS_PER_S)
+        assert world.controller.position("X") == 60_000
+
+    run(main)
+
+
 def test_refusals_before_anything_moves():
     async def main(world: World) -> None:
         with pytest.raises(CannotDo) as refusal:
