@@ -57,32 +57,36 @@ class Child:
     """One start of the adapter host, and the pipe that it beats on."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
-        self._beats, beat_fd = os.pipe()
+        self.beats, beat_fd = os.pipe()
         command = [sys.executable, "-m", "adapters.host_process", *arguments, "--beat-fd", str(beat_fd)]
         self.process = subprocess.Popen(command, pass_fds=[beat_fd], stdin=subprocess.DEVNULL)
         os.close(beat_fd)
-        os.set_blocking(self._beats, False)
+        os.set_blocking(self.beats, False)
         self.started_ns = raw_ns()
         self.beaten = False
         self._silence = Silence(self.started_ns)
 
     def trouble(self, hung_ns: int) -> str | None:
         """What is wrong with it now; None while it is well."""
-        heard = self._heard()
+        try:
+            beats = os.read(self.beats, 4096)
+        except BlockingIOError:
+            heard = False
+        else:
+            if not beats:
+                return f"the adapter host ended{self._code()}"
+            heard = self.beaten = True
         self._silence.look(raw_ns(), heard)
-        self.beaten = self.beaten or heard
-        code = self.process.poll()
-        if code is not None:
-            return f"the adapter host ended with code {code}"
         if self._silence.lasted_ns > (hung_ns if self.beaten else FIRST_BEAT_NS):
             return f"the adapter host has been silent for {self._silence.lasted_ns // NS_PER_MS} ms"
         return None
 
-    def _heard(self) -> bool:
+    def _code(self) -> str:
+        """How it ended; it closes its pipe a moment before."""
         try:
-            return bool(os.read(self._beats, 4096))
-        except BlockingIOError:
-            return False
+            return f" with code {self.process.wait(KILL_S)}"
+        except subprocess.TimeoutExpired:
+            return ""
 
     def kill(self) -> None:
         """End it at once, stopped or hung as it may be, and wait until its descriptors are free."""
@@ -92,7 +96,7 @@ class Child:
             self.process.wait(KILL_S)
 
     def close(self) -> None:
-        os.close(self._beats)
+        os.close(self.beats)
 
 
 class Guardian:
@@ -103,15 +107,19 @@ class Guardian:
         self._controllers = controllers
         self._hung_ns = hung_ns
         self._log = log
-        self._ended = asyncio.Event()
+        # Made before they are needed: what has to be imported for them might fail, or take its time.
+        self._stops = {name: find_make(config.adapter).stop_bytes(config) for name, config in controllers.items()}
+        self._ended = False
+        self._woken = asyncio.Event()
 
     def end(self) -> None:
         """Ask it to end, with its child."""
-        self._ended.set()
+        self._ended = True
+        self._woken.set()
 
     async def run(self) -> None:
         pause_s = BACKOFF_FIRST_S
-        while not self._ended.is_set():
+        while not self._ended:
             child = Child(self._arguments)
             self._log.info("the adapter host is started", pid=child.process.pid)
             try:
@@ -129,11 +137,18 @@ class Guardian:
 
     async def _watch(self, child: Child) -> str | None:
         """Wait for trouble; None when the guardian is asked to end."""
-        while not await self._wait(LOOK_NS / NS_PER_S):
-            trouble = child.trouble(self._hung_ns)
-            if trouble is not None:
-                return trouble
-        return None
+        loop = asyncio.get_running_loop()
+        # Woken by every beat, and by the end of the pipe, which is the end of the child.
+        loop.add_reader(child.beats, self._woken.set)
+        try:
+            while not self._ended:
+                await self._wait(LOOK_NS / NS_PER_S)
+                trouble = child.trouble(self._hung_ns)
+                if trouble is not None:
+                    return trouble
+            return None
+        finally:
+            loop.remove_reader(child.beats)
 
     async def _take_over(self, child: Child, trouble: str) -> None:
         child.kill()
@@ -144,16 +159,15 @@ class Guardian:
 
     async def _stop(self, controller: str) -> None:
         """Stop one controller, past whatever its dead driver was saying to it."""
-        config, clock = self._controllers[controller], LiveClock()
+        stop, clock = self._stops[controller], LiveClock()
         begun_ns = clock.now_ns()
         try:
-            stop = find_make(config.adapter).stop_bytes(config)
-            done = await last_stop(open_link(config.link, clock), stop, clock)
+            done = await last_stop(open_link(self._controllers[controller].link, clock), stop, clock)
         except (LinkRefused, LinkClosed) as error:
             self._log.info(f"NOT stopped: {error}", level="error", controller=controller)
         except Exception as error:
-            # A defect in one make must not keep the others from being stopped.
-            self._log.info(f"NOT stopped, a defect: {error!r}", level="error", controller=controller)
+            # A defect must keep neither the other controllers from their stop, nor the host from its successor.
+            self._log.info(f"NOT stopped, by a defect: {error!r}", level="error", controller=controller)
         else:
             self._log.info(
                 "stopped by the guardian",
@@ -174,13 +188,12 @@ class Guardian:
             await self._take_over(child, f"the adapter host did not end within {END_S:g} s")
         self._log.info("the adapter host is ended")
 
-    async def _wait(self, duration_s: float) -> bool:
-        """Wait; true as soon as the guardian is asked to end."""
-        try:
-            await asyncio.wait_for(self._ended.wait(), duration_s)
-        except TimeoutError:
-            return False
-        return True
+    async def _wait(self, duration_s: float) -> None:
+        """Wait, or until there is something to look at."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._woken.wait(), duration_s)
+        if not self._ended:
+            self._woken.clear()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
