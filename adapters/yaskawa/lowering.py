@@ -8,13 +8,15 @@ from typing import Literal
 from adapters.contract import CannotDo, Lowered
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import entry, letters
-from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
+from adapters.yaskawa.trapezoid import RAMP_UNIT, SPEED_UNIT, Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
+
+STOP_EXCHANGES = 3  # a stop is three commands
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,8 @@ def lower_moves(
     tick_ns = mapping.tick_ns
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + round(options.lead_s * NS_PER_S))
     first, last = begin_ticks(options, tick_ns)
+    # A stop brakes with the move's own DC, which a gentle move has set lower than the axis's limit.
+    brake_ns = max(move.shape.speed / move.shape.ramp * RAMP_UNIT / SPEED_UNIT * tick_ns for move in moves)
     half_tick_ns = math.ceil(tick_ns / 2)
     return LoweredMoves(
         start_class="clock",
@@ -100,7 +104,7 @@ def lower_moves(
             Term(name="tick", earliest_ns=0, latest_ns=math.ceil((last - first) * tick_ns)),
         ),
         tick_ns=tick_ns,
-        costs=costs,
+        costs=costs.model_copy(update={"stop_ns": math.ceil(brake_ns) + STOP_EXCHANGES * options.exchange_ns}),
         commands=(*move_commands(tuple(moves)), f"XQ {entry(mask)},0  (waits for T0, then BG{letters(mask)})"),
         moves=tuple(moves),
         mask=mask,

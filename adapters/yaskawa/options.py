@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.base import Id, Model
 
 Microseconds = Annotated[int, Field(ge=0, le=1_000_000)]
@@ -38,3 +39,8 @@ class Options(Model):
     motor_type: dict[Id, float] = Field(
         default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."
     )
+
+    @property
+    def exchange_ns(self) -> int:
+        """One command and its reply, at the most, ns."""
+        return (self.decode_us + self.round_trip_us) * NS_PER_US

@@ -19,7 +19,7 @@ from adapters.contract import (
 )
 from adapters.yaskawa import homing
 from adapters.yaskawa.device import Device, stop_commands
-from adapters.yaskawa.lowering import LoweredMoves, lower_moves
+from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
@@ -36,7 +36,7 @@ from adapters.yaskawa.session import MAX_LINE
 from adapters.yaskawa.settings import configure
 from adapters.yaskawa.start import Start
 from adapters.yaskawa.words import STOP_CODES
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, TcpLink
 from orchestrator.model.profile import Profile
@@ -109,13 +109,13 @@ class SMC4000Driver(Driver):
         return self._capabilities
 
     def _work_out_capabilities(self) -> Capabilities:
-        exchange_ns = (self._options.decode_us + self._options.round_trip_us) * NS_PER_US
+        exchange_ns = self._options.exchange_ns
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
             # The gate is decided before the quiet time, and a release must reach it by then.
             disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
-            stop_ns=round(ramp_s * NS_PER_S) + 3 * exchange_ns,
+            stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         return Capabilities(start_classes=("clock",), orders=(2,), independent_axes=False, costs=costs)
 

@@ -129,3 +129,31 @@ def test_disarmed_and_reconnected_units_do_not_start():
             assert not world.controller.motions
 
     run(main)
+
+
+def test_axes_without_a_way_take_part_without_moving():
+    async def main(world: World) -> None:
+        await world.ready()
+        still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
+        for profiles in ({"x": trapezoid(0, 4000, 20_000, 200_000), "y": still}, {"y": still}):
+            lowered, started, outcome, _ = await world.moved(profiles)
+            assert outcome.state == "done"
+            assert set(started) == set(outcome.ended) == set(profiles)
+            assert lowered.durations_s["y"] == 0
+        assert {motion.axis for motion in world.controller.motions} == {"X"}
+
+    run(main)
+
+
+def test_an_hour_of_polls_is_seconds_of_work():
+    async def main(world: World) -> None:
+        await world.ready()
+        for _ in range(36_000):
+            assert not (await world.driver.poll()).restarted
+            await sleep_ns(world.clock, 100 * NS_PER_MS)
+        mapping = world.driver.mapping()
+        assert mapping is not None
+        assert abs(mapping.rate_ppm + 40.0) < 20
+        assert mapping.bound_ns < NS_PER_MS
+
+    run(main, ppm=40.0)

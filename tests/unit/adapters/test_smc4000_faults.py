@@ -236,11 +236,12 @@ def test_limit_switches_are_seen_whatever_their_polarity():
     run(main)
 
 
-def test_a_stop_on_the_way_is_told_as_one():
+@pytest.mark.parametrize("ramp", [600_000, 90_000])
+def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp: int):
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, ramp)}, "auto", mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
         await world.driver.arm(lowered, t0_ns, mapping)
         await world.driver.go()
@@ -251,7 +252,7 @@ def test_a_stop_on_the_way_is_told_as_one():
         assert outcome.state == "stopped"
         motion = world.controller.motions[-1]
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
-        assert motion.end_ns - (t0_ns + 300 * NS_PER_MS) < world.driver.capabilities.costs.stop_ns
+        assert motion.end_ns - (t0_ns + 300 * NS_PER_MS) < lowered.costs.stop_ns
 
     run(main)
 
