@@ -14,6 +14,9 @@ from children import LIMIT_S, Children, ready, wait_until
 from fake_make import DRIVER_STOP, GUARDIAN_STOP
 
 from orchestrator.clock.live import raw_ns
+from orchestrator.model.files import load_fleet
+
+DEMO = Path(__file__).parents[2] / "deploy" / "examples" / "demo.fleet.yaml"
 
 pytestmark = pytest.mark.live
 
@@ -55,23 +58,21 @@ class FakeController:
         self._server.close()
 
 
+def fakes(*ports: int) -> Entry:
+    """Controllers of the fake make on these TCP ports."""
+    axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}
+    links = [{"kind": "tcp", "host": "127.0.0.1", "port": port} for port in ports]
+    return {f"c{at}": {"adapter": "fake", "link": link, "axes": {"x": axis}} for at, link in enumerate(links)}
+
+
 class Site:
     """A router, a guardian with its host, and the log of both."""
 
-    def __init__(self, children: Children, ports: list[int]) -> None:
+    def __init__(self, children: Children, controllers: Entry) -> None:
         folder = children.folder
         with socket.create_server(("127.0.0.1", 0)) as free:
             endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         ready(children.start("orchestrator.bus.router_process", endpoint, str(os.getpid())))
-        axis = {"motors": ["X"], "unit": "mm", "limits": {"velocity": 1, "acceleration": 1}}
-        controllers = {
-            f"c{number}": {
-                "adapter": "fake",
-                "link": {"kind": "tcp", "host": "127.0.0.1", "port": port},
-                "axes": {"x": axis},
-            }
-            for number, port in enumerate(ports)
-        }
         fleet = folder / "fleet.json"
         fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": controllers}))
         self._log = folder / "log.jsonl"
@@ -79,6 +80,7 @@ class Site:
         arguments += ["--state", str(folder / "state"), "--log", str(self._log)]
         self.guardian = children.start("adapters.guardian", *arguments)
         ready(self.guardian)
+        self._names = list(controllers)
         self.online(1)
 
     def entries(self) -> list[Entry]:
@@ -90,13 +92,13 @@ class Site:
         return [entry["pid"] for entry in self.entries() if entry["text"] == "the adapter host is started"]
 
     def online(self, times: int) -> None:
-        """Wait until the first controller was taken into service so many times."""
+        """Wait until every controller was taken into service so many times."""
 
-        def is_online() -> bool:
-            shown = [each for each in self.entries() if each.get("kind") == "online" and each["controller"] == "c0"]
-            return len(shown) >= times
+        def all_online() -> bool:
+            shown = [entry["controller"] for entry in self.entries() if entry.get("kind") == "online"]
+            return all(shown.count(name) >= times for name in self._names)
 
-        wait_until(is_online, f"c0 online {times} times")
+        wait_until(all_online, f"all online {times} times")
 
     def texts(self) -> list[str]:
         return [entry["text"] for entry in self.entries()]
@@ -122,7 +124,7 @@ def controllers() -> Any:
 def test_a_lost_host_has_its_controllers_stopped_and_is_replaced(
     how: signal.Signals, children: Children, controllers: list[FakeController]
 ) -> None:
-    site = Site(children, [controller.port for controller in controllers])
+    site = Site(children, fakes(*(controller.port for controller in controllers)))
     lost_ns = raw_ns()
     os.kill(site.pids()[0], how)
     for controller in controllers:
@@ -139,7 +141,7 @@ def test_a_lost_host_has_its_controllers_stopped_and_is_replaced(
 def test_an_axis_that_moves_is_stopped_by_the_simulators_own_truth(children: Children) -> None:
     truth = children.folder / "truth.jsonl"
     _, place = children.simulator("smc4000", "tcp:127.0.0.1:0", "--truth", str(truth))
-    site = Site(children, [place["port"]])
+    site = Site(children, fakes(place["port"]))
     with socket.create_connection((place["host"], place["port"]), timeout=LIMIT_S) as line:
         line.sendall(b"SH X;JG 20000;AC 1024000;DC 1024000;BG X\r")
         wait_until(lambda: '"start"' in truth.read_text(), "the start of the motion")
@@ -150,10 +152,29 @@ def test_an_axis_that_moves_is_stopped_by_the_simulators_own_truth(children: Chi
     assert 0 < end["end_ns"] - lost_ns < 3_000_000_000
 
 
+def test_the_makes_that_there_are_are_stopped_and_come_back(children: Children) -> None:
+    controllers = load_fleet(DEMO).to_plain()["controllers"]
+    truth = children.folder / "truth.jsonl"
+    port = str(children.folder / "ports" / "stage")
+    _, place = children.simulator("smc4000", "tcp:127.0.0.1:0", "--options", '{"axes": 2}', "--truth", str(truth))
+    children.simulator("shrc203", f"pty:{port}", "--options", json.dumps(controllers["stage"]["simulate"]["options"]))
+    controllers["gantry"]["link"] = {"kind": "tcp", "host": place["host"], "port": place["port"]}
+    controllers["stage"]["link"]["device"] = port
+    site = Site(children, controllers)
+    with socket.create_connection((place["host"], place["port"]), timeout=LIMIT_S) as line:
+        line.sendall(b"SH X;JG 20000;BG X\r")
+        wait_until(lambda: '"start"' in truth.read_text(), "the start of the motion")
+        os.kill(site.pids()[0], signal.SIGKILL)
+        wait_until(lambda: '"end"' in truth.read_text(), "the end of the motion")
+    site.online(2)
+    stopped = {each["controller"] for each in site.entries() if each["text"] == "stopped by the guardian"}
+    assert stopped == {"gantry", "stage"}
+
+
 def test_the_host_of_a_dead_guardian_stops_its_controllers_and_ends(
     children: Children, controllers: list[FakeController]
 ) -> None:
-    site = Site(children, [controllers[0].port])
+    site = Site(children, fakes(controllers[0].port))
     site.guardian.kill()
     wait_until(lambda: controllers[0].said(DRIVER_STOP) is not None, "the stop")
     wait_until(lambda: ended(site.pids()[0]), "the end of the host")
@@ -163,7 +184,7 @@ def test_the_host_of_a_dead_guardian_stops_its_controllers_and_ends(
 def test_asked_to_end_it_ends_its_host_which_stops_its_controllers(
     children: Children, controllers: list[FakeController]
 ) -> None:
-    site = Site(children, [controllers[0].port])
+    site = Site(children, fakes(controllers[0].port))
     site.guardian.terminate()
     site.guardian.communicate(timeout=LIMIT_S)
     assert site.guardian.returncode == 0
