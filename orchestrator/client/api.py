@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import ROOT, Keys
 from orchestrator.model.base import Model
-from orchestrator.model.job import Job
+from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
 from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
 from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
@@ -70,7 +70,9 @@ class Tutti:
     # Jobs
 
     async def submit(self, job: Job, client_key: str | None = None) -> str:
-        """Submit a job: its id, once it is safe in the journal. Raises `Refused`."""
+        """Submit a job: its id, once it is safe in the journal. A job without an actor gets ours. Raises `Refused`."""
+        if job.actor == UNKNOWN_ACTOR:
+            job = job.model_copy(update={"actor": self.actor})
         request = Submit(**self._fields(), job=job, client_key=client_key or self._new_id())
         return (await self._service("submit", request, Submitted)).job_id
 

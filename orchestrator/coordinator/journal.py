@@ -148,6 +148,11 @@ class Journal:
                 "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, step, epoch, t0_fleet_ns, members, utc)
             )
 
+    def decisions(self, job_id: str) -> list[tuple[int, int]]:
+        """(step, T0 in fleet ns) of every decision to move in a job."""
+        rows = self._db.execute("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))
+        return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
+
     def job(self, job_id: str) -> Job | None:
         row = self._db.execute("SELECT body FROM jobs WHERE id = ?", (job_id,)).fetchone()
         return None if row is None else Job.model_validate_json(row[0])

@@ -8,6 +8,8 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.units import Quantity
 
+UNKNOWN_ACTOR = "unknown"
+
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]
 
 
@@ -97,7 +99,7 @@ class Job(Model):
 
     schema_: Literal["tutti.job/1"] = Field(alias="schema")
     name: str = Field(min_length=1, max_length=120)
-    actor: str = Field(default="unknown", min_length=1, max_length=80, description="Who asks.")
+    actor: str = Field(default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="Who asks.")
     max_start_skew: Duration = Field(default=10_000_000, description="Largest spread of the axes' starts.")
     max_end_skew: Duration = Field(default=20_000_000, description="Largest spread of the axes' planned ends.")
     steps: list[Step] = Field(min_length=1, max_length=10_000)
