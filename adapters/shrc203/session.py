@@ -33,9 +33,10 @@ class Line:
 class Pending:
     """A command whose reply is still to come. `reply` is None when nobody waits for it."""
 
-    def __init__(self, command: str, form: Form, awaited: bool) -> None:
+    def __init__(self, command: str, form: Form, written_ns: int, awaited: bool) -> None:
         self.command = command
         self.form = form
+        self.written_ns = written_ns
         self.reply: asyncio.Future[Line] | None = asyncio.get_running_loop().create_future() if awaited else None
         self.timer: Timer | None = None
 
@@ -185,10 +186,12 @@ class Session:
     def _enqueue(self, command: str, form: Form, *, awaited: bool, written_ns: int | None = None) -> Pending:
         if self._closed is not None:
             raise self._closed
-        pending = Pending(command, form, awaited)
-        self._queue.append(pending)
-        ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
+        pending = Pending(command, form, since_ns, awaited)
+        # A line that somebody else writes later is answered later: what is said until then has its place before it.
+        later = sum(each.written_ns > since_ns for each in self._queue)
+        self._queue.insert(len(self._queue) - later, pending)
+        ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
         pending.timer = self._clock.call_at_ns(
             since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._expire(pending)
         )
