@@ -53,7 +53,10 @@ class Emit(Protocol):
 
 
 class Member:
-    """One controller as a member of steps. `check` raises `CannotDo` when the profiles must not be executed now."""
+    """One controller as a member of steps.
+
+    check raises `CannotDo` when the profiles must not be executed now; refresh reads and publishes the state.
+    """
 
     def __init__(
         self,
@@ -63,7 +66,9 @@ class Member:
         check: Callable[[Propose | Arm], None],
         scale: Callable[[], FleetScale],
         emit: Emit,
+        refresh: Callable[[], Coroutine[Any, Any, None]],
         spawn: Callable[[Coroutine[Any, Any, None]], object],
+        refresh: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
         self._controller = controller
         self._driver = driver
@@ -71,7 +76,9 @@ class Member:
         self._check = check
         self._scale = scale
         self._emit = emit
+        self._refresh = refresh
         self._spawn = spawn
+        self._refresh = refresh
         self._turn = asyncio.Lock()
         self._interruptions = 0
         self.ticket: Ticket | None = None
@@ -223,7 +230,8 @@ class Member:
         ticket = self.ticket
         if ticket is None or ticket.phase is Phase.MOVING:
             return None
-        return ticket.t0_host_ns if self._clock.now_ns() >= ticket.t0_host_ns - QUIET_NS else None
+        quiet = ticket.t0_host_ns - QUIET_NS <= self._clock.now_ns() <= ticket.t0_host_ns
+        return ticket.t0_host_ns if quiet else None
 
     # Inside
 
@@ -253,6 +261,8 @@ class Member:
             evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
             self._emit("started", "started", moving, evidence)
             outcome = await self._driver.outcome()
+            # Who hears of the end plans the next step from the state: it must be that after the move.
+            await self._refresh()
             if self.ticket is not moving:
                 return
         except (DriverFault, LinkClosed) as error:

@@ -100,7 +100,9 @@ class Unit:
         self._scale = scale
         self._fence = Fence(store)
         self._events = EventRing(instance)
-        self._member = Member(controller, driver, clock, self._check, self._require_scale, self._emit_step, self._spawn)
+        self._member = Member(
+            controller, driver, clock, self._check, self._require_scale, self._emit_step, self._refresh, self._spawn
+        )
         self._identity: Identity | None = None
         self._reading: Reading | None = None
         self._referenced = dict.fromkeys(config.axes, False)
@@ -554,20 +556,14 @@ class Unit:
     async def estop(self, latch: EstopLatch) -> None:
         """Latch and stop as fast as the controller can."""
         fresh = self._fence.latch_estop(latch)
-        try:
-            await self.stop(True, f"e-stop {latch.event} by {latch.actor}")
-        except (LinkClosed, LinkRefused, DriverFault) as error:
-            self._log.warning(f"e-stop: {error}", controller=self.controller)
+        await self._survive(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
         if fresh:
             self._emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
         self._publish()
 
     async def coordinator_lost(self, reason: str) -> None:
         """No heartbeat of the coordinator: unload or stop."""
-        try:
-            await self._member.abandon(reason)
-        except (LinkClosed, LinkRefused, DriverFault) as error:
-            self._log.warning(f"{reason}: {error}", controller=self.controller)
+        await self._survive(self._member.abandon(reason))
 
     # Inside
 
@@ -617,10 +613,17 @@ class Unit:
         self._publish()
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
-        task = asyncio.get_running_loop().create_task(coroutine)
+        task = asyncio.get_running_loop().create_task(self._survive(coroutine))
         self._tasks.add(task)
         task.add_done_callback(self._ended)
         return task
+
+    async def _survive(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        """What the controller does wrong in the background is said, and met by the link's own supervision."""
+        try:
+            await coroutine
+        except (LinkClosed, LinkRefused, DriverFault, CannotDo) as error:
+            self._log.warning(f"in the background: {error}", controller=self.controller)
 
     def _ended(self, task: "asyncio.Task[None]") -> None:
         self._tasks.discard(task)
