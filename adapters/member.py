@@ -68,7 +68,6 @@ class Member:
         emit: Emit,
         refresh: Callable[[], Coroutine[Any, Any, None]],
         spawn: Callable[[Coroutine[Any, Any, None]], object],
-        refresh: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
         self._controller = controller
         self._driver = driver
@@ -78,7 +77,6 @@ class Member:
         self._emit = emit
         self._refresh = refresh
         self._spawn = spawn
-        self._refresh = refresh
         self._turn = asyncio.Lock()
         self._interruptions = 0
         self.ticket: Ticket | None = None
