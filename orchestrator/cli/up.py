@@ -7,14 +7,19 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import FAILED, console, run
+from orchestrator.cli.common import FAILED, INTERRUPTED, console, run
 
 
 @click.command(
     epilog="""\b
 Examples:
   tutti up deploy/examples/demo.fleet.yaml --sim
-  tutti up lab.fleet.yaml --connect tcp/192.168.1.5:7447"""
+  tutti up lab.fleet.yaml --connect tcp/192.168.1.5:7447
+
+\b
+Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
+1 a part could not be started, or ended for good; 2 bad input;
+3 no router at --connect."""
 )
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--sim", "simulated", is_flag=True, help="Replace every link by a simulated controller; print which.")
@@ -22,7 +27,8 @@ Examples:
 @click.option("--port", default=7447, show_default=True, help="Port of the router that is started, on 127.0.0.1.")
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
 @click.option("--take-over", is_flag=True, help="Reign although another coordinator does.")
-def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None, take_over: bool) -> None:
+@click.option("--truth", is_flag=True, help="Simulators write what really moved, and when, to STATE/truth.")
+def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None, take_over: bool, truth: bool) -> None:
     """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends it all.
 
     Ctrl-C stops the running job first; a process that dies is started again.
@@ -42,7 +48,7 @@ def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None,
         if problems:
             raise FileError(problems)
         folder = state or default_state(fleet.fleet)
-        live = LiveFleet(fleet, folder, _say, connect=connect, port=port, simulated=simulated, take_over=take_over)
+        live = LiveFleet(fleet, folder, _say, connect, port, simulated, take_over, truth)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -51,9 +57,10 @@ def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None,
         ended = loop.create_task(end.wait())
         await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
+            _say("interrupted while starting; ending what was started")
             starting.cancel()
             await asyncio.wait([starting])
-            return
+            raise SystemExit(INTERRUPTED)
         await starting
         _say(f"fleet {fleet.fleet} is up; state in {folder}; Ctrl-C ends it")
         assert live.failed is not None

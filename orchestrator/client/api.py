@@ -23,6 +23,7 @@ from orchestrator.model.state import ControllerState
 M = TypeVar("M", bound=Model)
 
 ANSWER_S = 3.0
+STOP_LOOK_S = 0.3  # for seeing whom to stop: an adapter that takes longer to say that it is there hangs
 DRY_RUN_S = 30.0
 
 
@@ -131,18 +132,20 @@ class Tutti:
 
     # The fleet
 
-    async def status(self) -> dict[str, ControllerState]:
-        """The state of every controller that has an adapter now, by id."""
-        replies = await self.bus.request_all(self.keys.state(), b"", timeout_s=ANSWER_S)
+    async def status(self, timeout_s: float = ANSWER_S) -> dict[str, ControllerState]:
+        """The state of every controller that has an adapter now, by id. One that hangs costs `timeout_s`."""
+        replies = await self.bus.request_all(self.keys.state(), b"", timeout_s)
         states = [ControllerState.model_validate_json(payload) for payload in replies.values()]
         return {state.controller: state for state in sorted(states, key=lambda each: each.controller)}
 
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running job. What each controller answered, by id."""
-        controllers = list(await self.status())
         request = Stop(**self._fields(), mode="abort" if mode == "abort" else "decelerate")
+        fleet = StopFleet(**self._fields(), mode=request.mode)
+        # The coordinator knows all controllers, and the job; who is there is asked meanwhile, for it may be away.
+        service = asyncio.ensure_future(self._service("stop", fleet, Reply))
+        controllers = list(await self.status(STOP_LOOK_S))
         stops = [self._command(controller, "stop", request, Reply) for controller in controllers]
-        service = self._service("stop", StopFleet(**self._fields(), mode=request.mode), Reply)
         *replies, _ = await asyncio.gather(*stops, service, return_exceptions=True)
         return {
             controller: reply.refusal if isinstance(reply, Refused) else None

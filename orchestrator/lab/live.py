@@ -1,10 +1,12 @@
 """A fleet live on this machine: router, simulators, adapter hosts under guardians, coordinator, as child processes.
 
 A child that dies is started again with growing pauses. Children have sessions of their own, so that Ctrl-C reaches
-only this process, which ends them in order: the coordinator first, because it stops what moves.
+only this process, which ends them in order: the coordinator first, because it stops what moves. When this process is
+killed they end by themselves: the kernel tells those that know their parent, simulators see their input closed.
 """
 
 import asyncio
+import fcntl
 import json
 import os
 import signal
@@ -14,14 +16,18 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
+from orchestrator.lab.throne import reigning
 from orchestrator.model.fleet import Controller, Fleet, SerialLink, TcpLink
 
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
 RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
-# These ends are final: starting again would give the same (bad input, port or reign taken, deposed).
-FINAL = frozenset({2, 4, 5, 6})
+# These ends are final: starting again would give the same (bad input, port or reign taken, journal of no use).
+FINAL = frozenset({2, 4, 5})
+TAKEN = 4  # of the router: somebody else listens there
+DEPOSED = 6  # of the coordinator: another reigns, and the adapter hosts are at its service
 
 Say = Callable[[str], None]
 
@@ -48,6 +54,16 @@ class Child:
         """Process id of the present start."""
         return self.process.pid if self.process else 0
 
+    @property
+    def code(self) -> int | None:
+        """Exit code of the present start; None while it runs."""
+        return self.process.returncode if self.process else None
+
+    def last_word(self) -> str:
+        """The last line that it wrote to standard error; "" when it wrote none."""
+        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return said[-1] if said else ""
+
 
 @dataclass(slots=True)
 class LiveFleet:
@@ -67,15 +83,16 @@ class LiveFleet:
     truth: bool = False
     children: dict[str, Child] = field(default_factory=dict[str, Child])
     failed: "asyncio.Future[str] | None" = None
+    _lock: TextIO | None = None
 
     async def start(self) -> None:
         """Bring everything up, in order. Raises `UpFailed`; then nothing is left running."""
         self.failed = asyncio.get_running_loop().create_future()
-        self.state.mkdir(parents=True, exist_ok=True)
         try:
+            self._take_folder()
+            await self._route()
             if self.simulated:
                 await self._simulate()
-            await self._route()
             file = self.state / "fleet.json"
             file.write_text(self.fleet.model_dump_json(), encoding="utf-8")
             for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
@@ -90,8 +107,24 @@ class LiveFleet:
         order = ["coordinator", "host", "sim", "router"]
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end(child)
+        if self._lock is not None:
+            self._lock.close()
 
     # Parts
+
+    def _take_folder(self) -> None:
+        """Two fleets with one journal, or one set of simulated ports, would spoil each other."""
+        try:
+            self.state.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.state / "lock").open("w")
+        except OSError as error:
+            raise UpFailed(f"{self.state} can not be used: {error.strerror}; choose another folder: --state") from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UpFailed(
+                f"another `tutti up` uses {self.state}; end that one, or choose another folder: --state"
+            ) from None
 
     async def _simulate(self) -> None:
         """Replace every link by that of a simulated controller."""
@@ -110,10 +143,25 @@ class LiveFleet:
 
     async def _route(self) -> None:
         if self.connect:
+            other = None if self.take_over else await reigning(self.connect, self.fleet.fleet)
+            if other is not None:
+                # Asked before adapter hosts are started, which would be second drivers of the same controllers.
+                raise UpFailed(
+                    f"coordinator {other.coordinator[:8]} reigns in fleet {self.fleet.fleet} (epoch {other.epoch}) "
+                    f"on {self.connect}; end its `tutti up` first, or start with --take-over"
+                )
             return
         endpoint = f"tcp/127.0.0.1:{self.port}"
         module = "orchestrator.bus.router_process"
-        await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid())])
+        try:
+            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid())])
+        except UpFailed:
+            if self.children["router"].code != TAKEN:
+                raise
+            raise UpFailed(
+                f"port {self.port} of 127.0.0.1 is in use; choose another for the router: --port {self.port + 1}; or, "
+                f"if a router listens there, use it: --connect {endpoint}"
+            ) from None
         self.connect = endpoint
         self.say(f"router on {endpoint}")
 
@@ -122,6 +170,7 @@ class LiveFleet:
         if isinstance(config.link, SerialLink):
             # What was listened on before is listened on again after a restart: the symlink is stable.
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
+            listen += ["--frame", frame(config.link)]
         else:
             listen = ["--listen", f"tcp:127.0.0.1:{free_port()}"]
         timing = {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000}
@@ -139,7 +188,7 @@ class LiveFleet:
 
     def _host_command(self, host: str, file: Path) -> list[str]:
         command = [sys.executable, "-m", "adapters.guardian", "--fleet", str(file), "--host", host]
-        command += ["--connect", self.connect, "--state", str(self.state / "adapters")]
+        command += ["--connect", self.connect, "--state", str(self.state / "adapters"), "--parent", str(os.getpid())]
         return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
 
     def _coordinator_command(self, file: Path) -> list[str]:
@@ -176,9 +225,8 @@ class LiveFleet:
         except TimeoutError:
             raise UpFailed(f"{child.name} is not ready after {READY_S:g} s; see {child.log}") from None
         if not line:
-            code = await child.process.wait()
-            said = child.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-            raise UpFailed(f"{child.name} ended with exit code {code}: {said[-1] if said else f'see {child.log}'}")
+            how = _how(await child.process.wait())
+            raise UpFailed(f"{child.name} ended ({how}): {child.last_word() or f'see {child.log}'}")
         child.ready = line.decode().strip()
 
     async def _keep(self, child: Child) -> None:
@@ -188,9 +236,11 @@ class LiveFleet:
             code = await child.process.wait()
             if child.ended:
                 return
+            if code == DEPOSED:
+                self.say(f"{child.name} is deposed, another coordinator reigns; the adapter hosts here serve that one")
+                return
             if code in FINAL:
-                said = child.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-                self._fail(f"{child.name} ended: {said[-1] if said else f'exit code {code}'}")
+                self._fail(f"{child.name} ended: {child.last_word() or f'exit code {code}'}")
                 return
             pause_s = RESTART_S[min(child.starts, len(RESTART_S)) - 1]
             self.say(f"{child.name} ended ({_how(code)}); starting it again in {pause_s:g} s")
@@ -224,6 +274,11 @@ class LiveFleet:
                 await process.wait()
         if child.keeper is not None:
             child.keeper.cancel()
+
+
+def frame(link: SerialLink) -> str:
+    """Data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
+    return f"{link.data_bits}{link.parity[0].upper()}{link.stop_bits}"
 
 
 def free_port() -> int:
