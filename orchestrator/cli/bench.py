@@ -39,3 +39,23 @@ def plan(as_json: bool, rounds: int) -> None:
         for row in rows:
             table.add_row(str(row.axes), f"{row.plan_us:.1f}", f"{row.ruckig_us:.1f}", f"{row.ratio:.1f}")
         console.print(table)
+
+
+@bench.command(epilog="Example: tutti bench virtual --hours 1 --json")
+@json_option
+@click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0.01, 24), help="Of fleet time.")
+def virtual(as_json: bool, hours: float) -> None:
+    """Run the demo fleet, moving all the time, in virtual time, and say how much faster than real time it was."""
+    from orchestrator.cli.demo import EXAMPLES
+    from orchestrator.lab.bench_virtual import bench_virtual
+    from orchestrator.model.files import load_fleet
+
+    run = bench_virtual(load_fleet(EXAMPLES / "demo.fleet.yaml"), hours)
+    if as_json:
+        print_json(run._asdict())
+    else:
+        console.print(
+            f"{run.fleet_s:.0f} s of fleet time with {run.moves} synchronised moves in {run.cpu_s:.1f} s of processor "
+            f"time: {run.speedup:.0f} times faster than real time",
+            highlight=False,
+        )

@@ -35,6 +35,7 @@ _STAGE_AT: dict[Stage, tuple[str, int, int]] = {
 }
 
 FAULTS = (
+    "none",
     "host-killed",
     "host-hung",
     "link-cut",
@@ -165,6 +166,8 @@ class _Run:
         fault = self.story.fault
         if fault in ("link-cut", "garbage", "silence"):
             self.deaf.add(member)
+        if fault == "none":
+            return
         if fault in acts:
             acts[fault]()
         elif fault == "stop":
@@ -214,6 +217,8 @@ class _Run:
                 violate(f"invariant 3: {name} is not at rest {STAND_STILL_NS / NS_PER_S} s after the end")
             for motion in made:
                 self._judge_motion(name, motion)
+        if self.story.fault == "none" and self.story.state != "done":
+            violate(f"nothing was broken, and the job is {self.story.state}: {report.reason if report else ''}")
         if report is not None and report.state == "done":
             self._judge_evidence(report.steps[0], motions)
         self._judge_epochs()

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from fractions import Fraction
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -133,7 +134,7 @@ class Axis(Model):
                 raise ValueError(f"soft_limits.min ({self.soft_limits.min}) is not below max ({self.soft_limits.max})")
         return self
 
-    @property
+    @cached_property
     def counts_per_unit(self) -> Fraction:
         """Signed counts of the controller per unit."""
         return self.scale * self.sign
@@ -144,9 +145,13 @@ class Axis(Model):
 
     def to_unit(self, counts: float) -> float:
         """`counts` in the axis's unit."""
-        return float(counts / float(self.counts_per_unit))
+        return counts / self._float_scale
 
-    @property
+    @cached_property
+    def _float_scale(self) -> float:
+        return float(self.counts_per_unit)
+
+    @cached_property
     def soft_limits_counts(self) -> tuple[int, int] | None:
         """The soft limits as (low, high) counts of the controller, rounded inwards; None without limits."""
         if self.soft_limits is None:
@@ -222,7 +227,7 @@ class Controller(Model):
                 numbers[point.number] = name
         return self
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Names this configuration: equal digests mean equal configuration on both sides of the bus."""
         plain = {name: value for name, value in self.to_plain().items() if name != "simulate"}

@@ -1,0 +1,222 @@
+"""Jobs on the virtual demo fleet: what they do, what is refused, and what a report says."""
+
+import asyncio
+
+import pytest
+from cluster.worlds import PREPARE, demo_fleet, demo_job, job, run_fleet
+
+from orchestrator.client.api import Refused
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.job import Job
+from orchestrator.model.report import JobReport
+
+
+async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
+    """Run jobs one after the other; the report of the last one."""
+    client = fleet.client()
+    report = None
+    for each in jobs:
+        report = await client.wait(await client.submit(each))
+    assert report is not None
+    return report
+
+
+def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report = await outcome(fleet, demo_job())
+        assert report.state == "done", report.reason
+        assert [step.verdict for step in report.steps if step.do == "move"] == ["green"] * 3
+        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        homed = {"gantry": 2, "stage": 3}
+        for name, controller in fleet.controllers.items():
+            made = iter(controller.motions[homed[name] :])
+            for step in report.steps:
+                member = step.members.get(name)
+                if member is None:
+                    continue
+                motions = {motion.axis: motion for _, motion in zip(member.axes, made, strict=False)}
+                for axis, evidence in member.evidence.items():
+                    motor = fleet.fleet.controllers[name].axes[axis].motors[0]
+                    start_ns = motions[motor].start_ns - origin_ns
+                    assert evidence.start.earliest_ns <= start_ns <= evidence.start.latest_ns
+        line = report.steps[4]
+        assert set(line.members) == {"gantry", "stage"}
+        assert line.start_skew is not None
+        assert line.start_skew.at_most_ns <= 10_000_000
+        assert fleet.controllers["gantry"].output(1) is False
+        # 120 → 180 → 120 mm, 80 → 20 → 80 mm; 6 → 2 → 6 mm.
+        assert fleet.controllers["gantry"].position("X") == 120_000
+        assert fleet.controllers["gantry"].position("Y") == 80_000
+        assert fleet.controllers["stage"].position("1") == 60_000
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize(
+    ("steps", "code", "text"),
+    [
+        ("[{do: move, to: {gantry.x: 10}}]", "not-enabled", "axis gantry.x is not enabled"),
+        ("[{do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 10}}]", "not-referenced", "gantry.x is not referenced"),
+        ("[{do: home, axes: [gantry]}]", "not-enabled", "axis x is not enabled"),
+    ],
+)
+def test_refusals_before_the_fleet_is_prepared(steps: str, code: str, text: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report = await outcome(fleet, job(steps))
+        assert report.state == "failed"
+        refused = report.steps[-1].refused
+        assert refused is not None
+        assert refused.code == code
+        assert text in refused.text
+        assert refused.remedy
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize(
+    ("steps", "code", "text"),
+    [
+        ("[{do: move, to: {gantry.x: 401}}]", "soft-limit", "target 401 mm is beyond its soft limits -10 to 400 mm"),
+        ("[{do: move, by: {gantry.x: 300}}, {do: move, by: {gantry.x: 300}}]", "soft-limit", "target 600 mm is beyond"),
+        ("[{do: move, to: {gantry.x: 10 deg}}]", "bad-unit", "deg is a unit of angle"),
+        ("[{do: move, to: {gantry.x: 10, stage.u: 1}, max_start_skew: 10 us}]", "start-skew", "predicted start skew"),
+        ("[{do: move, to: {gantry.x: 10, stage.u: 1}, start: clock}]", "start-class", "no readable clock to start by"),
+        ("[{do: wait, input: gantry.door, timeout: 1 s}]", "wait-timeout", "gantry.door was not active within 1 s"),
+    ],
+)
+def test_refusals_of_a_prepared_fleet(steps: str, code: str, text: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report = await outcome(fleet, PREPARE, job(steps))
+        assert report.state == "failed"
+        refused = report.steps[-1].refused
+        assert refused is not None
+        assert (refused.code, text in refused.text) == (code, True), refused
+        assert all(not controller.moving(a) for controller in fleet.controllers.values() for a in controller.axes)
+
+    run_fleet(main)
+
+
+def test_a_job_that_names_what_is_not_there_is_not_accepted() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        for steps, text in (
+            ("[{do: move, to: {gantry.q: 1}}]", "no axis gantry.q; its axes are: gantry.x, gantry.y, stage.u"),
+            ("[{do: output, output: gantry.horn, value: true}]", "no output gantry.horn; known: gantry.lamp"),
+            ("[{do: wait, input: stage.x, timeout: 1 s}]", "no input stage.x; known: gantry.door"),
+            ("[{do: home, axes: [nothing]}]", "no axis nothing"),
+        ):
+            with pytest.raises(Refused, match=text.replace(".", r"\.")):
+                await client.submit(job(steps))
+        assert (await client.jobs()).jobs == []
+
+    run_fleet(main)
+
+
+def test_the_same_client_key_gives_the_same_job() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        dwell = job("[{do: dwell, duration: 10 ms}]")
+        first = await client.submit(dwell, "key-1")
+        assert await client.submit(dwell, "key-1") == first
+        assert await client.submit(dwell, "key-2") != first
+        assert len((await client.jobs()).jobs) == 2
+
+    run_fleet(main)
+
+
+def test_cancel_queued_and_running() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        running = await client.submit(job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]"))
+        queued = await client.submit(job("[{do: dwell, duration: 1 s}]"))
+        await asyncio.sleep(1.0)
+        await client.cancel(queued)
+        await client.cancel(running)
+        assert (await client.wait(running)).state == "cancelled"
+        assert (await client.wait(queued)).state == "cancelled"
+        await asyncio.sleep(0.5)
+        assert not fleet.controllers["gantry"].moving("X")
+        assert 0 < fleet.controllers["gantry"].position("X") < 390_000
+        with pytest.raises(Refused, match="is cancelled already"):
+            await client.cancel(queued)
+
+    run_fleet(main)
+
+
+def test_dry_run_says_what_would_be_sent() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        shown = await fleet.client().dry_run(job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]"))
+        assert shown["0"]["duration_s"] > 0.1
+        assert any("PA" in line for line in shown["0"]["commands"]["gantry"])
+        assert any(line.startswith(("AP", "MP")) for line in shown["0"]["commands"]["stage"])
+        assert not any(c.moving(a) for c in fleet.controllers.values() for a in c.axes)
+
+    run_fleet(main)
+
+
+def test_estop_latches_everywhere_and_survives_a_restarted_host() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        moving = await client.submit(job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]"))
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await asyncio.sleep(0.6)
+        latched = await client.estop("a test")
+        assert latched == {"gantry": True, "stage": True}
+        assert (await client.wait(moving)).state in ("aborted", "failed")
+        fleet.kill("host/local")
+        states = await fleet.until(lambda states: all(s.mode in ("idle", "fault") for s in states.values()))
+        assert all(state.estop is not None and state.estop.reason == "a test" for state in states.values())
+        report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
+        assert report.steps[-1].refused is not None
+        assert report.steps[-1].refused.code == "estop-latched"
+        await client.reset()
+        states = await client.status()
+        assert all(state.estop is None for state in states.values())
+
+    run_fleet(main)
+
+
+def test_an_absent_controller_is_said_with_its_remedy() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        fleet.wires["stage"].cut = True
+        states = await fleet.until(lambda states: states["stage"].mode == "offline")
+        assert states["stage"].faults[0].remedy
+        report = await outcome(fleet, job("[{do: move, to: {stage.u: 1}}]"))
+        assert report.steps[-1].refused is not None
+        assert report.steps[-1].refused.code == "offline"
+        fleet.wires["stage"].cut = False
+        await fleet.until(lambda states: states["stage"].mode == "idle")
+
+    run_fleet(main)
+
+
+def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        fleet.start_coordinator("second")
+        await asyncio.sleep(2.0)
+        assert any("reigns in fleet demo (epoch 1); stop it first, or start with --take-over" in line for line in fleet.lines)
+        other = demo_fleet()
+        gantry = other.controllers["gantry"].model_copy(update={"options": {"decode_us": 700}})
+        fleet.fleet = other.model_copy(update={"controllers": other.controllers | {"gantry": gantry}})
+        fleet.start_coordinator("third", take_over=True)
+        await asyncio.sleep(3.0)
+        report = await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 1}}]"))
+        assert report.steps[-1].refused is not None
+        assert report.steps[-1].refused.code == "other-configuration"
+
+    run_fleet(main)
+
+
+def test_a_thousand_relative_moves_there_and_back_end_on_the_same_count() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        there, back = "{do: move, by: {stage.u: '33.3333 um'}}", "{do: move, by: {stage.u: '-33.3333 um'}}"
+        await outcome(fleet, PREPARE)
+        before = fleet.controllers["stage"].position("1")
+        report = await outcome(fleet, job("[" + ", ".join([there, back] * 30 + [there] * 3 + [back] * 3) + "]"))
+        assert report.state == "done", report.reason
+        assert fleet.controllers["stage"].position("1") == before
+
+    run_fleet(main)
