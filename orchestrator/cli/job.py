@@ -57,20 +57,20 @@ job.add_command(submit)
 @click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 10_000))
 def list_jobs(connect: str, fleet: str | None, as_json: bool, limit: int) -> None:
     """List the newest jobs."""
-    from rich.table import Table
-
     from orchestrator.client import Tutti
+    from orchestrator.monitor.tables import plain_table
 
     async def act(tutti: Tutti) -> None:
         jobs = (await tutti.jobs(limit)).jobs
         if as_json:
             print_json([entry.to_plain() for entry in jobs])
             return
-        table = Table(header_style="bold")
-        for name in ("job", "name", "actor", "state", "submitted", "reason"):
-            table.add_column(name)
+        table = plain_table(["job", "name", "actor", "state", "submitted, UTC"])
+        table.add_column("reason", overflow="fold")
         for entry in jobs:
-            table.add_row(entry.id, entry.name, entry.actor, entry.state, entry.submitted_utc[:19], entry.reason)
+            table.add_row(
+                entry.id, entry.name, entry.actor, entry.state, entry.submitted_utc[:19].replace("T", " "), entry.reason
+            )
         console.print(table)
 
     with_fleet(connect, fleet, act)

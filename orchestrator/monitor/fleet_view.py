@@ -12,6 +12,7 @@ from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.model.report import ENDED, Progress
 from orchestrator.model.state import AxisState, ControllerState, Event
+from orchestrator.monitor.tables import plain_table
 
 _MODE_STYLE = {
     "idle": "green",
@@ -72,47 +73,43 @@ class LiveView:
         return Group(*parts)
 
 
-def state_table(states: dict[str, ControllerState]) -> Table:
-    """One row an axis: where it is, and what keeps it from moving."""
-    table = Table(expand=False, header_style="bold")
-    for name in ("controller", "mode", "axis"):
-        table.add_column(name)
-    table.add_column("position", justify="right", min_width=14)
-    table.add_column("velocity", justify="right", min_width=12)
-    table.add_column("axis state")
-    table.add_column("clock", justify="right")
+def state_table(states: dict[str, ControllerState]) -> RenderableType:
+    """One row an axis: where it is, and what keeps it from moving; then what is wrong with whole controllers."""
+    table = plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
+    troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
-        first = True
-        for axis, now in state.axes.items():
-            mode = Text(state.mode, style=_MODE_STYLE.get(state.mode, "")) if first else Text("")
+        known = state.mode != "offline"
+        for index, (axis, now) in enumerate(state.axes.items()):
+            first = index == 0
             table.add_row(
                 controller if first else "",
-                mode,
+                Text(state.mode, style=_MODE_STYLE.get(state.mode, "")) if first else "",
                 axis,
-                f"{now.position:,.4f} {now.unit}" if state.mode != "offline" else "-",
-                f"{now.velocity:,.3f} /s" if state.mode != "offline" else "-",
-                axis_words(now, state) if state.mode != "offline" else Text(""),
+                f"{now.position:,.4f} {now.unit}" if known else "-",
+                f"{now.velocity:,.2f} /s" if known else "-",
                 _clock_words(state) if first else "",
+                axis_words(now) if known else "",
             )
-            first = False
         if state.estop is not None:
-            table.add_row("", Text("E-STOP", style="bold red"), "", "", "", Text(f"by {state.estop.actor}"), "")
-        for fault in state.faults:
-            table.add_row("", "", "", "", "", Text(f"{fault.text} → {fault.remedy}", style="red"), "")
-        table.add_section()
-    return table
+            why = f": {state.estop.reason}" if state.estop.reason else ""
+            by = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
+            troubles.append(Text(by, style="bold red"))
+        troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
+    return Group(table, *troubles)
 
 
-def axis_words(axis: AxisState, state: ControllerState) -> Text:
-    """What an axis is, in few words."""
-    words = Text()
+def axis_words(axis: AxisState) -> Text:
+    """What an axis is, in few words: what keeps it from moving, or that nothing does."""
+    words: list[tuple[str, str]] = []
     if axis.moving:
-        words.append("moving ", style="cyan")
-    words.append("enabled " if axis.enabled else "off ", style="" if axis.enabled else "yellow")
-    words.append("referenced" if axis.referenced else "not referenced", style="" if axis.referenced else "yellow")
+        words.append(("moving", "cyan"))
+    if not axis.enabled:
+        words.append(("off", "yellow"))
+    if not axis.referenced:
+        words.append(("unreferenced", "yellow"))
     if axis.limit != "none":
-        words.append(f" on {axis.limit} limit", style="red")
-    return words
+        words.append((f"on {axis.limit} limit", "red"))
+    return Text(", ").join(Text(word, style=style) for word, style in words or [("ready", "green")])
 
 
 def _clock_words(state: ControllerState) -> str:
@@ -130,15 +127,21 @@ def job_line(job: Progress) -> str:
 
 
 def job_bar(job: Progress) -> RenderableType:
-    """A job's progress as a bar."""
-    grid = Table.grid(padding=(0, 1))
-    remaining = f"{job.remaining_s:.1f} s left in the step" if job.remaining_s is not None else ""
-    grid.add_row(
-        Text(f"job {job.job_id}", style="bold"),
-        job.name,
-        Text(job.state, style=_MODE_STYLE.get(job.state, "green" if job.state == "done" else "")),
-        ProgressBar(total=1.0, completed=job.fraction, width=30),
-        f"step {job.step + 1}/{job.steps} {job.step_name}" if job.state not in ENDED else job.reason,
-        remaining,
+    """A job's progress: its name and state, and below a bar with the step."""
+    head = Text.assemble(
+        "job ",
+        (job.job_id, "bold"),
+        f" {job.name!r}: ",
+        (job.state, _MODE_STYLE.get(job.state, "green" if job.state == "done" else "")),
     )
-    return grid
+    if job.state in ENDED:
+        return Text.assemble(head, f" ({job.reason})" if job.reason else "")
+    grid = Table.grid(padding=(0, 1))
+    grid.add_column()
+    grid.add_column(no_wrap=True)
+    left = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
+    grid.add_row(
+        ProgressBar(total=1.0, completed=job.fraction, width=24),
+        f"step {job.step + 1}/{job.steps} {job.step_name}{left}",
+    )
+    return Group(head, grid)

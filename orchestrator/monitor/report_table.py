@@ -1,86 +1,92 @@
-"""A job's report as tables for a terminal."""
+"""A job's report as tables for a terminal, readable at 80 columns."""
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
-from orchestrator.model.duration import format_ns
-from orchestrator.model.report import JobReport, Skew, StepReport
+from orchestrator.model.report import Budget, JobReport, Skew, StepReport
+from orchestrator.model.state import AxisEvidence
+from orchestrator.monitor.tables import plain_table
 
 _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold red", "none": "dim"}
+_STEP_LONGEST = 14  # characters of a step's name that fit beside all the figures
 
 
 def report_tables(report: JobReport) -> RenderableType:
-    """The steps of a job, and for each move its members and its budget."""
+    """The steps of a job with what went wrong, and for each move its members."""
     style = "bold green" if report.state == "done" else "bold red"
-    head = Text.assemble(
-        ("job ", ""), (report.job_id, "bold"), (f" {report.name!r}: ", ""), (report.state, style), (_reason(report), "")
-    )
-    steps = Table(title="steps", title_justify="left", header_style="bold")
-    for name in ("#", "step", "state", "planned", "actual", "start skew", "budget", "allowed", "end skew", "verdict"):
-        steps.add_column(name, justify="left" if name in ("step", "state", "verdict") else "right")
+    head = Text.assemble("job ", (report.job_id, "bold"), f" {report.name!r}: ", (report.state, style))
+    if report.reason:
+        head.append(f" ({report.reason})")
+    steps = plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
     for step in report.steps:
         steps.add_row(*_step_row(step))
-    members = Table(title="members", title_justify="left", header_style="bold")
-    for name in ("step", "member", "start", "axes", "armed in", "start after T0", "clock ±", "rate"):
-        members.add_column(name, justify="left" if name in ("member", "start", "axes") else "right")
+    members = plain_table(["#>", "member", "starts by", "axes", "armed in>", "start after T0>", "clock>", "rate>"])
     for step in report.steps:
         for row in _member_rows(step):
             members.add_row(*row)
-    return Group(head, steps, members) if members.row_count else Group(head, steps)
-
-
-def _reason(report: JobReport) -> str:
-    return f" ({report.reason})" if report.reason else ""
+    return Group(head, "", steps, "", members) if members.row_count else Group(head, "", steps)
 
 
 def _step_row(step: StepReport) -> list[str | Text]:
-    budget = step.budget
-    state = Text(step.state, style="green" if step.state == "done" else "red")
+    name = step.name or step.do
+    if len(name) > _STEP_LONGEST:
+        name = name[: _STEP_LONGEST - 1] + "…"
+    verdict = Text("" if step.verdict == "none" else step.verdict, style=_VERDICT_STYLE[step.verdict])
     return [
         str(step.index),
-        f"{step.do} {step.name}".strip(),
-        state if not step.reason or step.state == "done" else Text.assemble(state, f": {step.reason}"),
+        name,
         _seconds(step.planned_s),
         _seconds(step.actual_s),
         _skew(step.start_skew),
-        f"≤ {format_ns(budget.predicted_ns)}" if budget else "",
-        f"{format_ns(budget.allowed_ns)}" if budget else "",
+        _budget(step.budget),
         _skew(step.end_skew),
-        Text("" if step.verdict == "none" else step.verdict, style=_VERDICT_STYLE[step.verdict]),
+        verdict if step.state == "done" else Text(step.state, style="bold red"),
     ]
 
 
 def _member_rows(step: StepReport) -> list[list[str]]:
     rows: list[list[str]] = []
+    t0_ns = step.t0_fleet_ns or 0
     for name, member in step.members.items():
-        t0_ns = step.t0_fleet_ns or 0
-        starts = [
-            f"{axis} {_around(each.start.earliest_ns - t0_ns, each.start.latest_ns - t0_ns)}"
-            for axis, each in member.evidence.items()
-        ]
-        rows.append(
-            [
-                str(step.index),
-                name,
-                member.start_class,
-                ", ".join(member.axes),
-                format_ns(member.armed_in_ns),
-                "\n".join(starts),
-                format_ns(member.mapping.bound_ns) if member.mapping else "",
-                f"{member.mapping.rate_ppm:+.1f} ppm" if member.mapping else "",
-            ]
-        )
+        starts = {axis: _around(each, t0_ns) for axis, each in member.evidence.items()}
+        # One line or one timer starts all axes of most controllers: said once.
+        if len(set(starts.values())) == 1:
+            starts = {", ".join(member.axes): next(iter(starts.values()))}
+        mapping = member.mapping
+        for index, (axes, start) in enumerate(starts.items() or [(", ".join(member.axes), "")]):
+            first = index == 0
+            rows.append(
+                [
+                    str(step.index) if first else "",
+                    name if first else "",
+                    member.start_class if first else "",
+                    axes,
+                    f"{member.armed_in_ns / 1e6:.0f} ms" if first else "",
+                    start,
+                    f"±{mapping.bound_ns / 1e6:.1f} ms" if mapping and first else "",
+                    f"{mapping.rate_ppm:+.0f} ppm" if mapping and first else "",
+                ]
+            )
     return rows
 
 
 def _seconds(value: float | None) -> str:
-    return "" if value is None else f"{value:.4f} s"
+    return "" if value is None else f"{value:.{3 if value < 10 else 2}f} s"
 
 
 def _skew(value: Skew | None) -> str:
-    return "" if value is None else f"{value.at_least_ns / 1e6:.2f} … {value.at_most_ns / 1e6:.2f} ms"
+    """What is surely known: usually that it is below something, rarely that it is above something as well."""
+    if value is None:
+        return ""
+    most = f"{value.at_most_ns / 1e6:.1f} ms"
+    return f"≤ {most}" if value.at_least_ns == 0 else f"{value.at_least_ns / 1e6:.1f} to {most}"
 
 
-def _around(earliest_ns: int, latest_ns: int) -> str:
-    return f"{earliest_ns / 1e6:+.2f} … {latest_ns / 1e6:+.2f} ms"
+def _budget(budget: Budget | None) -> str:
+    """The predicted skew, of what the job allows."""
+    return f"{budget.predicted_ns / 1e6:.1f} of {budget.allowed_ns / 1e6:g} ms" if budget else ""
+
+
+def _around(evidence: AxisEvidence, t0_ns: int) -> str:
+    earliest_ns, latest_ns = evidence.start.earliest_ns - t0_ns, evidence.start.latest_ns - t0_ns
+    return f"{earliest_ns / 1e6:+.1f} … {latest_ns / 1e6:+.1f} ms"

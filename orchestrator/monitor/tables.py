@@ -1,0 +1,14 @@
+"""Tables for a terminal: no frames, because at 80 columns every character is needed for words and figures."""
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+
+def plain_table(columns: Sequence[str]) -> Table:
+    """A table of these columns; those whose name ends in `>` are flush right. Rows are never wrapped."""
+    table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, 2, 0, 0))
+    for name in columns:
+        right = name.endswith(">")
+        table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True)
+    return table
