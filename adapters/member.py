@@ -12,12 +12,12 @@ from enum import Enum
 from typing import Any, Protocol
 
 from adapters.contract import CannotDo, Driver, DriverFault, Span
+from adapters.mapping import clock_mapping
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
-from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Go, Proposal, Propose, Reply, StepRef
-from orchestrator.model.state import AxisEvidence, ClockMapping, EventKind, Interval
+from orchestrator.model.state import AxisEvidence, EventKind, Interval
 
 QUIET_NS = 20 * NS_PER_MS  # nothing polls a member this long before T0
 
@@ -124,7 +124,7 @@ class Member:
             self.ticket = ticket
             self._spawn(self._expire(ticket))
             return Armed(
-                mapping=self.clock_mapping(mapping),
+                mapping=None if mapping is None else clock_mapping(self._controller, mapping),
                 took_ns=self._clock.now_ns() - began_ns,
                 stages_ns=dict(stages),
             )
@@ -175,23 +175,6 @@ class Member:
             await self._driver.disarm()
             self._emit("disarmed", "disarmed on request", ticket)
             return Reply()
-
-    def clock_mapping(self, mapping: TickMapping | None) -> ClockMapping | None:
-        """The bus form of a mapping."""
-        if mapping is None:
-            return None
-        return ClockMapping(
-            controller=self._controller,
-            ticks_at=mapping.ticks_at,
-            host_at_ns=mapping.host_at_ns,
-            tick_ns=mapping.tick_ns,
-            rate_ppm=mapping.rate_ppm,
-            residual_ns=mapping.residual_ns,
-            bound_ns=mapping.bound_ns,
-            samples=mapping.samples,
-            min_rtt_ns=mapping.min_rtt_ns,
-            valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),
-        )
 
     # Ways out
 

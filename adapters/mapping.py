@@ -1,0 +1,20 @@
+"""A controller's clock mapping as it stands on the bus and in the record of a job."""
+
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.state import ClockMapping
+
+
+def clock_mapping(controller: str, mapping: TickMapping) -> ClockMapping:
+    """The bus form of a mapping. It counts as valid until its bound has grown by a tick."""
+    return ClockMapping(
+        controller=controller,
+        ticks_at=mapping.ticks_at,
+        host_at_ns=mapping.host_at_ns,
+        tick_ns=mapping.tick_ns,
+        rate_ppm=mapping.rate_ppm,
+        residual_ns=mapping.residual_ns,
+        bound_ns=mapping.bound_ns,
+        samples=mapping.samples,
+        min_rtt_ns=mapping.min_rtt_ns,
+        valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),
+    )

@@ -1,0 +1,244 @@
+"""A controller as the bus sees it: its state, its events, its information, its clock."""
+
+from collections.abc import Callable, Mapping
+
+from pydantic import ValidationError
+
+from adapters.condition import Condition
+from adapters.contract import Driver, Make, Reading
+from adapters.events import EventRing
+from adapters.fence import Fence
+from adapters.mapping import clock_mapping
+from adapters.member import Phase, Ticket
+from orchestrator.bus.base import Bus, Declared, Priority, RequestRefused, Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log
+from orchestrator.clock.base import Clock
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.link.trace import TraceRing
+from orchestrator.model.fleet import Controller, Input, Output
+from orchestrator.model.state import (
+    AxisEvidence,
+    AxisState,
+    ClockQuality,
+    ControllerState,
+    Event,
+    EventKind,
+    EventsRequest,
+    Fault,
+    Info,
+    Mode,
+)
+
+CLOCK_EVERY = 10  # states between two puts of the mapping, which moves slowly
+
+
+class Presenter:
+    """Builds and puts what others may know of one controller. `ticket` gives the step that it is loaded with."""
+
+    def __init__(
+        self,
+        controller: str,
+        config: Controller,
+        make: Make,
+        driver: Driver,
+        bus: Bus,
+        keys: Keys,
+        clock: Clock,
+        fence: Fence,
+        condition: Condition,
+        trace: TraceRing,
+        log: Log,
+        instance: str,
+        scale: Callable[[], FleetScale | None],
+        ticket: Callable[[], Ticket | None],
+    ) -> None:
+        self._controller = controller
+        self._config = config
+        self._make = make
+        self._driver = driver
+        self._bus = bus
+        self._keys = keys
+        self._clock = clock
+        self._fence = fence
+        self._condition = condition
+        self._trace = trace
+        self._log = log
+        self._instance = instance
+        self._scale = scale
+        self._ticket = ticket
+        self._events = EventRing(instance)
+        self._state_seq = 0
+
+    async def serve(self) -> list[Declared]:
+        """Answer for the last state, for missed events, and for who the controller is."""
+        keys, bus = self._keys, self._bus
+        return [
+            await bus.serve(keys.state(self._controller), self._answer_state),
+            await bus.serve(keys.event(self._controller), self._answer_events),
+            await bus.serve(keys.info(self._controller), self._answer_info),
+        ]
+
+    # State
+
+    def mode(self) -> Mode:
+        """What the controller is doing, in one word."""
+        condition = self._condition
+        if condition.reading is None:
+            return "offline"
+        ticket = self._ticket()
+        if ticket is not None:
+            return "moving" if ticket.phase in (Phase.RELEASED, Phase.MOVING) else ticket.phase.value
+        if condition.homing:
+            return "homing"
+        if any(axis.moving for axis in condition.reading.axes.values()):
+            return "stopping" if self._clock.now_ns() < condition.stopping_until_ns else "moving"
+        return "fault" if condition.faults else "idle"
+
+    def state(self) -> ControllerState:
+        """The full state as it is known now."""
+        reading, ticket = self._condition.reading, self._ticket()
+        return ControllerState(
+            controller=self._controller,
+            instance=self._instance,
+            seq=self._state_seq,
+            utc=self._clock.utc(),
+            fleet_ns=self._fleet_ns(),
+            mode=self.mode(),
+            axes={name: self._axis(name, reading) for name in self._config.axes},
+            inputs=_named(self._config.inputs, reading.inputs) if reading else {},
+            outputs=_named(self._config.outputs, reading.outputs) if reading else {},
+            faults=self._condition.faults,
+            clock=self._clock_quality(),
+            estop=self._fence.latch,
+            epoch=self._fence.epoch,
+            digest=self._config.digest,
+            job=ticket.job if ticket else None,
+            step=ticket.step if ticket else None,
+        )
+
+    def publish(self) -> None:
+        """Put the state, and now and then the clock mapping."""
+        self._state_seq += 1
+        self._bus.put(self._keys.state(self._controller), self.state().to_json(), Priority.STATE)
+        mapping = self._mapping()
+        if mapping is not None and self._state_seq % CLOCK_EVERY == 0:
+            shown = clock_mapping(self._controller, mapping)
+            self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
+
+    def _axis(self, name: str, reading: Reading | None) -> AxisState:
+        axis = self._config.axes[name]
+        if reading is None:
+            return AxisState(
+                position=0.0,
+                commanded=0.0,
+                velocity=0.0,
+                commanded_counts=0,
+                unit=axis.unit,
+                moving=False,
+                enabled=False,
+                referenced=False,
+            )
+        now = reading.axes[name]
+        return AxisState(
+            position=axis.to_unit(now.actual_counts),
+            commanded=axis.to_unit(now.commanded_counts),
+            velocity=axis.to_unit(now.velocity_counts_s),
+            commanded_counts=now.commanded_counts,
+            unit=axis.unit,
+            moving=now.moving,
+            enabled=now.enabled,
+            referenced=self._condition.referenced[name],
+            limit=now.limit,
+            fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
+        )
+
+    def _mapping(self) -> TickMapping | None:
+        return self._driver.mapping() if self._condition.reading is not None else None
+
+    def _clock_quality(self) -> ClockQuality | None:
+        mapping = self._mapping()
+        if mapping is None:
+            return None
+        now_ns = self._clock.now_ns()
+        return ClockQuality(
+            bound_ns=mapping.bound_at_ns(now_ns), age_ns=max(0, now_ns - mapping.host_at_ns), samples=mapping.samples
+        )
+
+    def _fleet_ns(self) -> int | None:
+        scale = self._scale()
+        return None if scale is None else scale.fleet_ns(self._clock.now_ns())
+
+    # Events
+
+    def emit(
+        self,
+        kind: EventKind,
+        text: str,
+        *,
+        ticket: Ticket | None = None,
+        evidence: Mapping[str, AxisEvidence] | None = None,
+        fault: Fault | None = None,
+    ) -> None:
+        """Put an event, keep it for those who miss it, and log it; a fault with the last bytes on the link."""
+        event = Event(
+            controller=self._controller,
+            instance=self._instance,
+            seq=self._events.last_seq + 1,
+            utc=self._clock.utc(),
+            fleet_ns=self._fleet_ns(),
+            kind=kind,
+            text=text,
+            job=ticket.job if ticket else None,
+            step=ticket.step if ticket else None,
+            evidence=dict(evidence or {}),
+            fault=fault,
+        )
+        self._events.add(event)
+        self._bus.put(self._keys.event(self._controller), event.to_json(), Priority.EVENT)
+        about = {"controller": self._controller, "kind": kind, "job": event.job, "step": event.step}
+        self._log.info(text, **about, epoch=self._fence.epoch)
+        if kind in ("fault", "failed", "offline"):
+            self._log.info("the last bytes on the link", controller=self._controller, trace=self._trace.tail_text())
+
+    # Answers
+
+    async def _answer_state(self, _: Sample) -> bytes:
+        return self.state().to_json()
+
+    async def _answer_events(self, sample: Sample) -> bytes:
+        try:
+            request = EventsRequest.model_validate_json(sample.payload)
+        except ValidationError as error:
+            raise RequestRefused(explain(error)) from None
+        return self._events.after(request.after).to_json()
+
+    async def _answer_info(self, _: Sample) -> bytes:
+        identity, capabilities = self._condition.identity, self._driver.capabilities
+        return Info(
+            controller=self._controller,
+            instance=self._instance,
+            make=self._make.name,
+            model=identity.model if identity else "",
+            firmware=identity.firmware if identity else "",
+            serial=identity.serial if identity else "",
+            axes={name: axis.to_plain() for name, axis in self._config.axes.items()},
+            start_classes=list(capabilities.start_classes),
+            orders=list(capabilities.orders),
+            independent_axes=capabilities.independent_axes,
+            costs=capabilities.costs,
+            digest=self._config.digest,
+            options_schema=self._make.options.model_json_schema(),
+        ).to_json()
+
+
+def _named(points: Mapping[str, Input] | Mapping[str, Output], levels: Mapping[int, bool]) -> dict[str, bool]:
+    """Named inputs or outputs, true where active."""
+    return {name: levels.get(each.number, False) == (each.active == "high") for name, each in points.items()}
+
+
+def explain(error: ValidationError) -> str:
+    """The first thing that is wrong with a payload, for the one who sent it."""
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"
