@@ -1,0 +1,240 @@
+"""A whole simulated fleet as a user starts it: `tutti up --sim` in a process of its own, and what really moved."""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, TypeVar
+
+from children import LIMIT_S, wait_until
+
+from orchestrator.client import Tutti
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.job import Job
+from orchestrator.model.report import JobReport
+from orchestrator.model.state import ControllerState
+
+T = TypeVar("T")
+Entry = dict[str, Any]
+Steps = list[dict[str, Any]]
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+COMMAND = [sys.executable, "-c", "from orchestrator.cli.main import main; main(prog_name='tutti')"]
+
+READY: Steps = [
+    {"do": "enable", "axes": ["gantry", "stage"]},
+    {"do": "home"},
+    {"do": "move", "to": {"gantry.x": 1, "gantry.y": 1, "stage.u": 1, "stage.v": 1}},
+]
+# Takes 40 s: whatever is at rest before was stopped.
+SLOW: Steps = [{"do": "move", "to": {"gantry.x": 201, "stage.u": 21}, "speed": 0.05}]
+SLOW_AXES = {"gantry": "X", "stage": "1"}
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
+
+
+class RunningFleet:
+    """The demo fleet under `tutti up --sim`, with everything it writes in `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.state = folder / "state"
+        self.port = free_port()
+        self.endpoint = f"tcp/127.0.0.1:{self.port}"
+        self.said = folder / "up.out"
+        command = [*COMMAND, "up", str(EXAMPLES / "demo.fleet.yaml"), "--sim", "--truth"]
+        command += ["--state", str(self.state), "--port", str(self.port)]
+        with self.said.open("w") as out:
+            self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
+        self._known: set[int] = set()
+
+    # Life
+
+    def started(self) -> "RunningFleet":
+        """Wait until it is up and every controller is adopted."""
+        wait_until(lambda: "is up" in self.output() or self.up.poll() is not None, "the fleet is up")
+        assert self.up.poll() is None, self.output()
+        self.works()
+        return self
+
+    def output(self) -> str:
+        return self.said.read_text()
+
+    def works(self) -> None:
+        """Wait until a coordinator reigns and every adapter obeys it."""
+
+        def adopted() -> bool:
+            states = self.status()
+            return len(states) == 2 and all(s.mode == "idle" and s.epoch == self.epoch() for s in states.values())
+
+        wait_until(adopted, "adopted and idle")
+
+    def epoch(self) -> int:
+        """The newest reign that the log of this fleet's own coordinator tells of."""
+        return max((entry.get("epoch") or 0 for entry in self.log("coordinator")), default=0)
+
+    def log(self, name: str) -> list[Entry]:
+        path = self.state / "log" / f"{name}.jsonl"
+        whole = path.read_text().rpartition("\n")[0] if path.exists() else ""
+        return [json.loads(line) for line in whole.splitlines()]
+
+    def family(self) -> dict[int, str]:
+        """Command lines of all living descendants of `tutti up`, and of those that were seen before."""
+        living = _processes()
+        grown = {self.up.pid} | {pid for pid in self._known if pid in living}
+        while more := {pid for pid, (parent, _) in living.items() if parent in grown} - grown:
+            grown |= more
+        self._known |= grown - {self.up.pid}
+        return {pid: living[pid][1] for pid in self._known if pid in living}
+
+    def pid(self, words: str) -> int:
+        """The process id of the descendant whose command line holds `words`."""
+        found = [pid for pid, command in self.family().items() if words in command]
+        assert len(found) == 1, f"{words}: {found}"
+        return found[0]
+
+    def kill(self, words: str) -> int:
+        """`kill -9`; the host time of it, and it is dead."""
+        pid = self.pid(words)
+        at_ns = raw_ns()
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: pid not in _processes(), f"{words} is dead")
+        return at_ns
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """End `tutti up` by a signal: its exit code. Nothing of it lives on."""
+        self.family()
+        self.up.send_signal(number)
+        code = self.up.wait(LIMIT_S)
+        wait_until(lambda: not self.family(), f"orphans end: {self.family()}")
+        return code
+
+    def close(self) -> None:
+        """Clean up whatever a test has left."""
+        self.family()
+        if self.up.poll() is None:
+            self.up.terminate()
+            try:
+                self.up.wait(LIMIT_S)
+            except subprocess.TimeoutExpired:
+                self.up.kill()
+                self.up.wait()
+        for pid in self.family():
+            os.kill(pid, signal.SIGKILL)
+
+    # What users do
+
+    def tutti(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
+        """The command line, connected to this fleet."""
+        return run_tutti(*arguments, "--connect", self.endpoint)
+
+    def file(self, steps: Steps, name: str = "test") -> Path:
+        path = self.folder / f"{name}.job.json"
+        path.write_text(json.dumps({"schema": "tutti.job/1", "name": name, "max_start_skew": "50 ms", "steps": steps}))
+        return path
+
+    def ask(self, act: Callable[[Tutti], Coroutine[Any, Any, T]]) -> T:
+        async def main() -> T:
+            async with asyncio.timeout(LIMIT_S), await Tutti.connect(self.endpoint, "demo", "test") as tutti:
+                return await act(tutti)
+
+        return asyncio.run(main())
+
+    def status(self) -> dict[str, ControllerState]:
+        return self.ask(lambda tutti: tutti.status(0.5))
+
+    def submit(self, steps: Steps) -> str:
+        job = Job.model_validate_json(self.file(steps).read_text())
+        return self.ask(lambda tutti: tutti.submit(job))
+
+    def wait(self, job_id: str) -> JobReport:
+        return self.ask(lambda tutti: tutti.wait(job_id, poll_s=0.1))
+
+    def run(self, steps: Steps) -> JobReport:
+        return self.wait(self.submit(steps))
+
+    def ready(self) -> None:
+        """Bring all axes to the beginning, whatever was before: the fleet works."""
+        self.works()
+        report = self.run(READY)
+        assert report.state == "done", report.reason
+
+    # What really moved
+
+    def truth(self, controller: str) -> list[Entry]:
+        """What the simulator wrote down, in order."""
+        path = self.state / "truth" / f"{controller}.jsonl"
+        whole = path.read_text().rpartition("\n")[0] if path.exists() else ""
+        return [json.loads(line) for line in whole.splitlines()]
+
+    def starts(self, controller: str) -> int:
+        """How often an axis of the controller has begun to move."""
+        return sum(entry["event"] == "start" for entry in self.truth(controller))
+
+    def slow_move(self) -> str:
+        """Begin the slow move; its job, when both controllers really move."""
+        before = {name: self.starts(name) for name in SLOW_AXES}
+        job_id = self.submit(SLOW)
+        wait_until(lambda: all(self.starts(name) > count for name, count in before.items()), "both move")
+        return job_id
+
+    def rest_ns(self, controller: str) -> int:
+        """When the slow axis of the controller came to rest, host time; waited for."""
+
+        def last() -> Entry:
+            return [entry for entry in self.truth(controller) if entry["axis"] == SLOW_AXES[controller]][-1]
+
+        wait_until(lambda: last()["event"] == "end", f"{controller} comes to rest")
+        return last()["end_ns"]
+
+
+def run_tutti(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    """The `tutti` command to its end."""
+    environment = {**os.environ, "COLUMNS": "200"}
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=2 * LIMIT_S,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def _processes() -> dict[int, tuple[int, str]]:
+    """Parent and command line of every process that has not ended."""
+    found: dict[int, tuple[int, str]] = {}
+    for path in Path("/proc").iterdir():
+        if not path.name.isdecimal():
+            continue
+        try:
+            state, parent = (path / "stat").read_text().rpartition(")")[2].split()[:2]
+            if state != "Z":
+                found[int(path.name)] = int(parent), (path / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def margin_s(at_ns: int, rest_ns: int) -> float:
+    """How long after `at_ns` something came to rest, in seconds."""
+    return (rest_ns - at_ns) / 1e9
+
+
+def wait_a_moment(until: Callable[[], bool], duration_s: float) -> bool:
+    """Look for something that must not happen, for as long as it would take; whether it happened."""
+    end_s = time.monotonic() + duration_s
+    while time.monotonic() < end_s:
+        if until():
+            return True
+        time.sleep(0.02)
+    return False

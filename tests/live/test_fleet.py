@@ -1,0 +1,264 @@
+"""The whole fleet live, as a user runs it: done jobs, killed processes, stops, refusals. The simulators' truth judges."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from children import LIMIT_S, wait_until
+from fleet import EXAMPLES, SLOW_AXES, RunningFleet, free_port, margin_s, run_tutti, wait_a_moment
+
+from orchestrator.clock.live import raw_ns
+from orchestrator.coordinator.journal import Journal
+
+pytestmark = pytest.mark.live
+
+# What the processes declare, in seconds, and what a busy machine may add to it.
+HOST_DEAD_S = 0.3
+COORDINATOR_LOST_S = 0.5
+RAMPS_S = 0.3
+BUSY_S = 1.5
+
+Note = Callable[[str, object], None]
+
+AXES = {"gantry": {"x": "X", "y": "Y"}, "stage": {"u": "1", "v": "2", "focus": "3"}}
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
+    fleet = RunningFleet(tmp_path_factory.mktemp("shared"))
+    try:
+        yield fleet.started()
+    finally:
+        fleet.close()
+
+
+@pytest.fixture
+def note(record_property: Note) -> Note:
+    """Keeps a figure in the report of the test run."""
+    return record_property
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[RunningFleet]:
+    """A fleet that the test may ruin; it is still starting."""
+    fleet = RunningFleet(tmp_path)
+    try:
+        yield fleet
+    finally:
+        fleet.close()
+
+
+def test_the_demo_job_is_done_and_its_evidence_holds_the_truth(shared: RunningFleet) -> None:
+    done = shared.tutti("submit", str(EXAMPLES / "demo.job.yaml"), "--wait", "--json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = json.loads(done.stdout)
+    assert report["state"] == "done"
+    scale = Journal(shared.state / "journal.sqlite3")
+    try:
+        _, origin_ns = scale.scale(Path("/proc/sys/kernel/random/boot_id").read_text().strip(), 0, "none")
+    finally:
+        scale.close()
+    judged = 0
+    for step in report["steps"]:
+        for member, part in step["members"].items():
+            for axis, evidence in part["evidence"].items():
+                t0_ns, start = int(step["t0_fleet_ns"]), evidence["start"]
+                of_axis = [e["start_ns"] - origin_ns for e in shared.truth(member) if e["axis"] == AXES[member][axis]]
+                true_ns = min(of_axis, key=lambda ns: abs(ns - t0_ns))
+                assert int(start["earliest_ns"]) <= true_ns <= int(start["latest_ns"]), (member, axis)
+                judged += 1
+    assert judged == 12
+
+
+@pytest.mark.parametrize(
+    ("victim", "bound_s"),
+    [
+        ("adapters.host_process", HOST_DEAD_S),
+        ("orchestrator.coordinator.process", COORDINATOR_LOST_S),
+    ],
+)
+def test_a_killed_process_stops_everything_and_work_goes_on(
+    shared: RunningFleet, victim: str, bound_s: float, note: Note
+) -> None:
+    shared.ready()
+    job_id = shared.slow_move()
+    killed_ns = shared.kill(victim)
+    took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
+    starts = {name: shared.starts(name) for name in SLOW_AXES}
+    assert max(took_s.values()) < bound_s + RAMPS_S + BUSY_S, took_s
+    report = shared.wait(job_id)
+    assert report.state in ("failed", "aborted", "interrupted")
+    assert report.reason
+    shared.works()
+    assert {name: shared.starts(name) for name in SLOW_AXES} == starts
+    shared.ready()
+    note("rest_s", took_s)
+
+
+def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: RunningFleet, note: Note) -> None:
+    shared.ready()
+    before = {name: shared.starts(name) for name in SLOW_AXES}
+    job_id = shared.submit([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
+    wait_until(lambda: all(shared.starts(name) > count for name, count in before.items()), "both move")
+    killed_ns = shared.kill("orchestrator.bus.router_process")
+    took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
+    report = shared.wait(job_id)
+    if report.state != "done":
+        assert report.reason
+        assert max(took_s.values()) < COORDINATOR_LOST_S + RAMPS_S + BUSY_S, took_s
+    shared.works()
+    assert all(shared.starts(name) == count + 1 for name, count in before.items())
+    shared.ready()
+    note("rest_s", took_s)
+    note("job", f"{report.state} {report.reason}")
+
+
+def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet, note: Note) -> None:
+    shared.ready()
+    job_id = shared.slow_move()
+    killed_ns = shared.kill("--name gantry")
+    took_s = margin_s(killed_ns, shared.rest_ns("stage"))
+    assert took_s < HOST_DEAD_S + RAMPS_S + BUSY_S
+    report = shared.wait(job_id)
+    assert report.state == "failed"
+    assert "gantry" in report.reason
+    shared.ready()
+    note("rest_s", took_s)
+
+
+def test_stop_ends_a_move(shared: RunningFleet, note: Note) -> None:
+    shared.ready()
+    job_id = shared.slow_move()
+    asked_ns = raw_ns()
+    done = shared.tutti("stop", "--json")
+    assert done.returncode == 0
+    assert json.loads(done.stdout) == {"gantry": None, "stage": None}
+    took_s = {name: margin_s(asked_ns, shared.rest_ns(name)) for name in SLOW_AXES}
+    assert max(took_s.values()) < RAMPS_S + 2 * BUSY_S, took_s
+    report = shared.wait(job_id)
+    assert report.state in ("aborted", "failed")
+    assert report.reason
+    note("rest_s", took_s)
+
+
+def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet, note: Note) -> None:
+    shared.ready()
+    shared.slow_move()
+    asked_ns = raw_ns()
+    done = shared.tutti("estop", "--reason", "test", "--json")
+    try:
+        assert json.loads(done.stdout) == {"gantry": True, "stage": True}
+        took_s = {name: margin_s(asked_ns, shared.rest_ns(name)) for name in SLOW_AXES}
+        assert max(took_s.values()) < RAMPS_S + 2 * BUSY_S, took_s
+        before = {state.instance for state in shared.status().values()}
+        shared.kill("adapters.host_process")
+
+        def is_back() -> bool:
+            states = shared.status().values()
+            return len(states) == 2 and all(
+                s.instance not in before and s.mode in ("idle", "fault") and s.epoch == shared.epoch() for s in states
+            )
+
+        wait_until(is_back, "the adapter host is back")
+        assert all(state.estop is not None for state in shared.status().values())
+        report = shared.run([{"do": "enable", "axes": ["gantry"]}])
+        assert report.state == "failed"
+        assert "e-stop" in report.reason
+    finally:
+        assert shared.tutti("reset").returncode == 0
+    assert all(state.estop is None for state in shared.status().values())
+    shared.ready()
+    note("rest_s", took_s)
+
+
+def test_a_second_fleet_is_refused_with_the_remedy(shared: RunningFleet, tmp_path: Path) -> None:
+    up = ["up", str(EXAMPLES / "demo.fleet.yaml"), "--sim"]
+    taken = run_tutti(*up, "--port", str(shared.port), "--state", str(tmp_path))
+    assert taken.returncode == 1
+    assert f"port {shared.port}" in taken.stderr
+    assert "--port" in taken.stderr and "--connect" in taken.stderr
+    second = run_tutti(*up, "--connect", shared.endpoint, "--state", str(tmp_path))
+    assert second.returncode == 1
+    assert "reigns in fleet demo" in second.stderr
+    folder = run_tutti(*up, "--port", str(free_port()), "--state", str(shared.state))
+    assert folder.returncode == 1
+    assert "--state" in folder.stderr
+
+
+def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.job.yaml"
+    bad.write_text("schema: tutti.job/1\nname: bad\nsteps:\n  - {do: mvoe, to: {gantry.x: 1}}\n")
+    malformed = shared.tutti("submit", str(bad))
+    assert malformed.returncode == 2
+    assert f"{bad}:4" in malformed.stderr
+    unknown = shared.tutti("submit", str(shared.file([{"do": "move", "to": {"gantry.q": 1}}], "unknown")), "--wait")
+    assert unknown.returncode == 1
+    assert "gantry.q" in unknown.stderr
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        endpoint = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+    absent = run_tutti("status", "--connect", endpoint)
+    assert absent.returncode == 3
+    assert endpoint in absent.stderr
+
+
+def test_positions_can_be_watched_with_zenoh_alone(shared: RunningFleet) -> None:
+    command = [sys.executable, str(EXAMPLES / "watch_positions.py"), shared.endpoint, "4"]
+    seen = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+    assert seen.returncode == 0, seen.stderr
+    lines = seen.stdout.splitlines()
+    assert len(lines) == 4
+    assert all(line.split()[0] in AXES for line in lines)
+
+
+def test_a_coordinator_that_slept_is_deposed_and_moves_nothing(own: RunningFleet, note: Note) -> None:
+    own.started().ready()
+    own.slow_move()
+    first = own.pid("orchestrator.coordinator.process")
+    os.kill(first, signal.SIGSTOP)
+    stopped_ns = raw_ns()
+    took_s = {name: margin_s(stopped_ns, own.rest_ns(name)) for name in SLOW_AXES}
+    assert max(took_s.values()) < COORDINATOR_LOST_S + RAMPS_S + BUSY_S, took_s
+    command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(own.state / "fleet.json")]
+    command += ["--connect", own.endpoint, "--journal", str(own.folder / "second.sqlite3")]
+    command += ["--log", str(own.folder / "second.jsonl"), "--take-over"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as second:
+        try:
+            assert second.stdout is not None
+            assert second.stdout.readline() == "ready\n"
+            starts = {name: own.starts(name) for name in SLOW_AXES}
+            os.kill(first, signal.SIGCONT)
+            wait_until(lambda: "is deposed" in own.output(), "the first one ends")
+            assert not wait_a_moment(lambda: {name: own.starts(name) for name in SLOW_AXES} != starts, 1.0)
+            report = own.run([{"do": "move", "by": {"gantry.x": 1, "stage.u": 1}}])
+            assert report.state == "done", report.reason
+            assert report.epoch > 1
+        finally:
+            second.terminate()
+    note("rest_s", took_s)
+
+
+def test_ctrl_c_in_a_move_stops_it_and_ends_everything(own: RunningFleet, note: Note) -> None:
+    own.started().ready()
+    own.slow_move()
+    asked_ns = raw_ns()
+    assert own.end(signal.SIGINT) == 0
+    took_s = {name: margin_s(asked_ns, own.rest_ns(name)) for name in SLOW_AXES}
+    assert max(took_s.values()) < RAMPS_S + BUSY_S, took_s
+    note("rest_s", took_s)
+
+
+def test_ctrl_c_while_starting_leaves_nothing(own: RunningFleet) -> None:
+    wait_until(lambda: "router on" in own.output(), "the router")
+    assert own.end(signal.SIGINT) == 130
+
+
+def test_a_killed_tutti_up_leaves_no_orphans(own: RunningFleet) -> None:
+    own.started()
+    assert len(own.family()) >= 7
+    assert own.end(signal.SIGKILL) == -signal.SIGKILL
