@@ -10,6 +10,10 @@ import click
 
 from orchestrator.cli.common import FAILED, INTERRUPTED, console, json_option, print_json, run
 
+READY_S = 30.0  # for all controllers to be adopted; a second on a machine with nothing else to do
+LOOK_S = 0.05
+JOB_S = 120.0  # for the job, which takes six seconds
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
 
 
@@ -21,9 +25,9 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
     The fleet is a simulated Yaskawa SMC-4000 on TCP and a simulated OptoSigma SHRC-203 on a pseudo-terminal. Exit 0
-    only if the job is done and every start skew is surely within what the job allows.
+    only if the job is done and every start skew is surely within what the job allows; 130 when interrupted.
     """
-    from orchestrator.lab.live import LiveFleet, free_port
+    from orchestrator.lab.live import LiveFleet, UpFailed, free_port
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
 
@@ -38,7 +42,16 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
             live = LiveFleet(fleet, keep or Path(folder), say, port=free_port(), simulated=True)
             await live.start()
             try:
-                return await _run_job(live.connect, fleet.fleet, job, len(fleet.controllers), headless or as_json)
+                job_run = asyncio.ensure_future(
+                    _run_job(live.connect, fleet.fleet, job, len(fleet.controllers), headless or as_json)
+                )
+                assert live.failed is not None
+                # A part that ends for good would be waited for in vain.
+                await asyncio.wait([job_run, live.failed], return_when=asyncio.FIRST_COMPLETED)
+                if job_run.done():
+                    return await job_run
+                job_run.cancel()
+                raise UpFailed(live.failed.result())
             finally:
                 await live.close()
 
@@ -58,15 +71,25 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
     """Wait until the fleet is adopted, then submit and follow."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
+    from orchestrator.lab.live import UpFailed
+    from orchestrator.model.state import ControllerState
 
     async with await Tutti.connect(connect, fleet, actor="demo") as tutti:
-        async with asyncio.timeout(30):
-            while True:
-                states = await tutti.status()
-                if len(states) == controllers and all(s.epoch and s.mode == "idle" for s in states.values()):
-                    break
-                await asyncio.sleep(0.05)
-        return await follow(tutti, await tutti.submit(job), quiet)
+        states: dict[str, ControllerState] = {}
+        try:
+            async with asyncio.timeout(READY_S):
+                while len(states) < controllers or not all(s.epoch and s.mode == "idle" for s in states.values()):
+                    states = await tutti.status()
+                    await asyncio.sleep(LOOK_S)
+        except TimeoutError:
+            shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "none answers"
+            raise UpFailed(f"not all controllers are ready within {READY_S:g} s: {shown}") from None
+        job_id = await tutti.submit(job)
+        try:
+            async with asyncio.timeout(JOB_S):
+                return await follow(tutti, job_id, quiet)
+        except TimeoutError:
+            raise UpFailed(f"job {job_id} has not ended within {JOB_S:g} s; look at the logs with --keep") from None
 
 
 def summary(report: Any) -> dict[str, Any]:

@@ -1,8 +1,11 @@
 """The root command: subcommands are imported when they are used, so that `tutti --help` is quick."""
 
 from importlib import import_module
+from typing import Any
 
 import click
+
+from orchestrator.cli.common import INTERRUPTED
 
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -44,6 +47,13 @@ class _Lazy(click.Group):
             return None
         command: click.Command = getattr(import_module(f"orchestrator.cli.{_COMMANDS[cmd_name][0]}"), cmd_name)
         return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            # While modules are still being imported; click alone would make it 1.
+            raise SystemExit(INTERRUPTED) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
