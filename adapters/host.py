@@ -26,6 +26,7 @@ from orchestrator.model.state import EstopLatch
 # what moves is stopped by its own ramp.
 COORDINATOR_LOST_NS = 500 * NS_PER_MS
 TIME_EXCHANGES = 8
+BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
 
 def find_make(name: str) -> Make:
@@ -75,6 +76,7 @@ class AdapterHost:
         self._scale: FleetScale | None = None
         self._reign: Reign | None = None
         self._heard_ns: int | None = None
+        self._congested = False
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
@@ -181,12 +183,23 @@ class AdapterHost:
         clock = self._around.clock
         while True:
             await sleep_ns(clock, COORDINATOR_LOST_NS // 5)
+            self._watch_backlog()
             heard_ns = self._heard_ns
             if heard_ns is not None and clock.now_ns() - heard_ns > COORDINATOR_LOST_NS:
                 self._heard_ns = None
                 silent_ms = (clock.now_ns() - heard_ns) // NS_PER_MS
                 for unit in self.units:
                     self._spawn(unit.coordinator_lost(f"the coordinator has been silent for {silent_ms} ms"))
+
+    def _watch_backlog(self) -> None:
+        """Say once that the bus does not keep up, and once that it does again."""
+        congested = self._around.bus.backlog > BACKLOG_LIMIT
+        if congested != self._congested:
+            self._congested = congested
+            waiting = self._around.bus.backlog
+            self._log.warning(
+                f"the bus does not keep up: {waiting} samples wait" if congested else "the bus keeps up again"
+            )
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(coroutine)

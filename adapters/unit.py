@@ -246,6 +246,15 @@ class Unit:
         if fresh:
             self._presenter.emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
         self._presenter.publish()
+        await self._survive(self._make_outputs_safe())
+
+    async def _make_outputs_safe(self) -> None:
+        """Take the outputs that have a safe state to it."""
+        if self._condition.reading is None:
+            return
+        for point in self._config.outputs.values():
+            if point.safe is not None:
+                await self._driver.set_output(point.number, point.safe == (point.active == "high"))
 
     async def coordinator_lost(self, reason: str) -> None:
         """No heartbeat of the coordinator: unload or stop."""

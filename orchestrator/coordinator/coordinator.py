@@ -56,7 +56,7 @@ class Coordinator:
         members = Members(bus, keys, self.throne, court.new_id)
         self._members = members
         self._motion = Motion(self._view, members, self.throne, clock, court.journal, court.runs, self._log)
-        plain = PlainSteps(self._view, members, clock, self._motion.targets)
+        plain = self._plain = PlainSteps(self._view, members, clock, self._motion.targets)
         self.runner = Runner(
             bus, keys, clock, court.journal, court.runs, self._view, self._motion, plain, self.throne, self._log
         )
@@ -115,10 +115,21 @@ class Coordinator:
             if reply.refused is None:
                 self._adopted[controller] = instance
                 self._log.info("adopted", controller=controller, epoch=self.throne.epoch)
+                await self._enable_at_start(controller)
             else:
                 self._log.warning(f"not adopted: {reply.refused.text}", controller=controller)
         finally:
             self._adopting.discard(controller)
+
+    async def _enable_at_start(self, controller: str) -> None:
+        """Enable the axes that the fleet file wants on from the start, once the controller is idle."""
+        axes = self._fleet.controllers[controller].axes
+        names = [f"{controller}.{name}" for name, axis in axes.items() if axis.enable == "at_start"]
+        if names:
+            try:
+                await self._plain.enable(names, True, "coordinator")
+            except Refuse as error:
+                self._log.warning(f"not enabled at start: {error.refusal.text}", controller=controller)
 
     def _depose(self, reason: str) -> None:
         """A newer reign was heard: answer nobody any more, touch nothing. The adapters refuse us anyhow."""

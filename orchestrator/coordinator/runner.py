@@ -11,7 +11,7 @@ from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.journal import JobRow, Journal, Runs
 from orchestrator.coordinator.motion import Motion
 from orchestrator.coordinator.reign import Throne
-from orchestrator.coordinator.steps import PlainSteps
+from orchestrator.coordinator.steps import PlainSteps, by_controller
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.job import Job, Move, Step
@@ -20,6 +20,7 @@ from orchestrator.model.report import (
     ENDED,
     JobReport,
     JobState,
+    Lease,
     Progress,
     QueueEntry,
     QueueState,
@@ -166,8 +167,11 @@ class Runner:
         running.report = running.report.model_copy(update={"started_utc": started_utc})
         state: JobState = "done"
         reason, actor = "", running.job.actor
+        axes = self._axes_of(running.job)
         try:
             await self.publish_queue()
+            self._put_leases(axes, running.row.id, running.job.actor)
+            await self._enable_by_policy(axes, running.job.actor)
             for index, step in enumerate(running.job.steps):
                 running.step, running.step_t0_ns, running.step_s = index, 0, 0.0
                 report = await self._step(running, index, step)
@@ -179,9 +183,13 @@ class Runner:
         except asyncio.CancelledError:
             interrupt = running.interrupt or Interrupted("interrupted", "the coordinator ended", "coordinator")
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
+        except Refuse as error:
+            state, reason = "failed", f"enabling: {error.refusal.text}"
         except Exception as error:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await self._motion.stop(self._members_of(running.job), "decelerate", "coordinator", reason)
+        await self._disable_by_policy(axes, running.job.actor)
+        self._put_leases(axes, None, running.job.actor)
         report = running.report.model_copy(update={"steps": running.steps})
         await self._end(running.row, report, state, reason, actor)
 
@@ -301,8 +309,10 @@ class Runner:
         rows = await self._runs(self._journal.unended)
         self._bus.put(self._keys.queue, queue_state(rows).to_json(), Priority.EVENT)
 
-    def _members_of(self, job: Job) -> list[str]:
-        """Controllers that a job can move, for stopping them all."""
+    # The axes of a job
+
+    def _axes_of(self, job: Job) -> list[str]:
+        """Axes that a job can move."""
         fleet = self._view.fleet
         names: list[str] = []
         for step in job.steps:
@@ -310,7 +320,36 @@ class Runner:
                 names += [*step.to, *step.by]
             elif step.do == "home":
                 names += [axis for name in step.axes or fleet.controllers for axis in fleet.expand(name)]
-        return list(dict.fromkeys(name.partition(".")[0] for name in names))
+        return list(dict.fromkeys(names))
+
+    def _members_of(self, job: Job) -> list[str]:
+        """Controllers that a job can move, for stopping them all."""
+        return list(by_controller(self._axes_of(job)))
+
+    def _put_leases(self, axes: list[str], holder: str | None, actor: str) -> None:
+        for controller in by_controller(axes):
+            lease = Lease(controller=controller, holder=holder, actor=actor, epoch=self._throne.epoch)
+            self._bus.put(self._keys.lease(controller), lease.to_json(), Priority.EVENT)
+
+    async def _enable_by_policy(self, axes: list[str], actor: str) -> None:
+        """Enable what the fleet file wants enabled for a job and is not. Raises `Refuse`."""
+        off = [axis for axis in axes if self._view.fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)]
+        if off:
+            await self._plain.enable(off, True, actor)
+
+    async def _disable_by_policy(self, axes: list[str], actor: str) -> None:
+        """Disable what is enabled for jobs only. What still ramps down stays on, and that is said."""
+        per_job = [axis for axis in axes if self._view.fleet.axis(axis).enable == "per_job"]
+        if per_job:
+            try:
+                await self._plain.enable(per_job, False, actor)
+            except Refuse as error:
+                self._log.warning(f"left enabled after the job: {error.refusal.text}")
+
+    def _is_enabled(self, axis: str) -> bool:
+        controller, _, name = axis.partition(".")
+        state = self._view.state(controller)
+        return state is not None and state.axes[name].enabled
 
 
 def queue_state(rows: list[JobRow]) -> QueueState:

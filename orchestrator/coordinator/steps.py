@@ -29,7 +29,7 @@ class PlainSteps:
     async def run(self, step: Step, actor: str) -> None:
         """Run `step` to its end."""
         if isinstance(step, Enable | Disable):
-            await self._enable(step, actor)
+            await self.enable(expand(self._view.fleet, step.axes), isinstance(step, Enable), actor)
         elif isinstance(step, Home):
             await self._home(step, actor)
         elif isinstance(step, Dwell):
@@ -39,11 +39,11 @@ class PlainSteps:
         elif isinstance(step, WaitInput):
             await self._wait(step)
 
-    async def _enable(self, step: Enable | Disable, actor: str) -> None:
-        on = isinstance(step, Enable)
+    async def enable(self, axes: list[str], on: bool, actor: str) -> None:
+        """Switch the motors of `axes`. Raises `Refuse`."""
         requests = {
-            member: EnableRequest(**self._fields(actor), axes=axes, on=on)
-            for member, axes in by_controller(expand(self._view.fleet, step.axes)).items()
+            member: EnableRequest(**self._fields(actor), axes=names, on=on)
+            for member, names in by_controller(axes).items()
         }
         await self._all("enable", requests, ANSWER_S)
 

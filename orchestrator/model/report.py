@@ -127,6 +127,16 @@ class JobReport(Model):
     notes: dict[str, Any] = Field(default={})
 
 
+class Lease(Model):
+    """Who may move a controller, on `lease/{controller}`. No holder: it is free."""
+
+    schema_: Literal["tutti.lease/1"] = Field(default="tutti.lease/1", alias="schema")
+    controller: str
+    holder: str | None
+    actor: str
+    epoch: Int53
+
+
 class QueueEntry(Model):
     """A job in a list."""
 

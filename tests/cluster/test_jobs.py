@@ -5,10 +5,11 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, run_fleet
 
+from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.job import Job
-from orchestrator.model.report import JobReport
+from orchestrator.model.report import JobReport, Lease
 
 
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
@@ -218,5 +219,46 @@ def test_a_thousand_relative_moves_there_and_back_end_on_the_same_count() -> Non
         report = await outcome(fleet, job("[" + ", ".join([there, back] * 30 + [there] * 3 + [back] * 3) + "]"))
         assert report.state == "done", report.reason
         assert fleet.controllers["stage"].position("1") == before
+
+    run_fleet(main)
+
+
+def test_enabling_by_policy_and_leases_on_the_bus() -> None:
+    base = demo_fleet()
+    policies = {"gantry": "per_job", "stage": "at_start"}
+    controllers = {
+        name: config.model_copy(
+            update={"axes": {a: axis.model_copy(update={"enable": policies[name]}) for a, axis in config.axes.items()}}
+        )
+        for name, config in base.controllers.items()
+    }
+
+    async def main(fleet: VirtualFleet) -> None:
+        states = await fleet.until(lambda states: all(a.enabled for a in states["stage"].axes.values()))
+        assert not any(axis.enabled for axis in states["gantry"].axes.values())
+        client, holders = fleet.client(), list[tuple[str, bool]]()
+
+        def hear(sample: Sample) -> None:
+            lease = Lease.model_validate_json(sample.payload)
+            holders.append((lease.controller, lease.holder is not None))
+
+        await client.bus.subscribe(client.keys.leases, hear)
+        report = await client.wait(await client.submit(job("[{do: home}, {do: move, to: {gantry.x: 5, stage.u: 1}}]")))
+        assert report.state == "done", report.reason
+        assert holders == [("gantry", True), ("stage", True), ("gantry", False), ("stage", False)]
+        states = await client.status()
+        assert not any(axis.enabled for axis in states["gantry"].axes.values())
+        assert all(axis.enabled for axis in states["stage"].axes.values())
+
+    run_fleet(main, base.model_copy(update={"controllers": controllers}))
+
+
+def test_an_estop_takes_outputs_to_their_safe_state() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, job("[{do: output, output: gantry.lamp, value: true}]"))).state == "done"
+        assert fleet.controllers["gantry"].output(1)
+        await fleet.client().estop()
+        await asyncio.sleep(0.5)
+        assert not fleet.controllers["gantry"].output(1)
 
     run_fleet(main)
