@@ -8,15 +8,14 @@ from typing import Any, Protocol
 from pydantic import ValidationError
 
 from adapters.condition import Condition
-from adapters.contract import CannotDo, Driver, DriverFault
+from adapters.contract import CannotDo, DriverFault
 from adapters.fence import Fence
 from adapters.member import Member
 from adapters.presenter import Presenter, explain
+from adapters.seat import Seat
 from orchestrator.bus.base import RequestRefused, Sample
-from orchestrator.bus.keys import Keys
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.trace import Direction, TraceRing
-from orchestrator.model.fleet import Controller
+from orchestrator.link.trace import Direction
 from orchestrator.model.messages import (
     Adopt,
     Adopted,
@@ -62,30 +61,19 @@ class Commands:
 
     def __init__(
         self,
-        controller: str,
-        config: Controller,
-        driver: Driver,
-        keys: Keys,
+        seat: Seat,
         fence: Fence,
         member: Member,
         condition: Condition,
         presenter: Presenter,
-        trace: TraceRing,
-        now_ns: Callable[[], int],
-        utc: Callable[[], str],
         unit: UnitActions,
     ) -> None:
-        self._controller = controller
-        self._config = config
-        self._driver = driver
-        self._keys = keys
+        self._seat = seat
+        self._config, self._driver = seat.config, seat.driver
         self._fence = fence
         self._member = member
         self._condition = condition
         self._presenter = presenter
-        self._trace = trace
-        self._now_ns = now_ns
-        self._utc = utc
         self._unit = unit
         self._answers: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
         # verb: (request, reply, handler)
@@ -107,7 +95,7 @@ class Commands:
 
     async def answer(self, sample: Sample) -> bytes:
         """Answer one command. A request id that was seen already gets the same answer, without doing it again."""
-        verb = self._keys.verb_of(sample.key)
+        verb = self._seat.keys.verb_of(sample.key)
         if verb not in self._verbs:
             raise RequestRefused(f"unknown verb {verb!r}; known: {', '.join(sorted(self._verbs))}")
         model, reply, handler = self._verbs[verb]
@@ -138,7 +126,7 @@ class Commands:
         except (LinkClosed, LinkRefused) as error:
             refusal = Refusal(code="offline", text=str(error), remedy="check power and cable of the controller")
         self._presenter.emit("refusal", f"{verb} by {request.actor}: {refusal.text}")
-        return reply(refused=refusal.model_copy(update={"member": self._controller}))
+        return reply(refused=refusal.model_copy(update={"member": self._seat.controller}))
 
     async def _adopt(self, request: Adopt) -> Adopted:
         if self._fence.adopt(request):
@@ -225,9 +213,9 @@ class Commands:
 
     async def _give_trace(self, _: Request) -> TraceReply:
         entries: list[tuple[int, Direction, str]] = [
-            (at_ns, direction, data.decode("latin-1")) for at_ns, direction, data in self._trace.entries()
+            (at_ns, direction, data.decode("latin-1")) for at_ns, direction, data in self._seat.trace.entries()
         ]
-        return TraceReply(entries=entries, utc=self._utc(), host_ns=self._now_ns())
+        return TraceReply(entries=entries, utc=self._seat.clock.utc(), host_ns=self._seat.clock.now_ns())
 
     def _require_idle(self, request: AxesRequest) -> None:
         self._condition.online()

@@ -9,6 +9,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from adapters.contract import Firer, Make, Setup
+from adapters.seat import Seat
 from adapters.store import Store
 from adapters.unit import Unit
 from orchestrator.bus.base import Bus, Declared, NoReply, RequestRefused, RequestTimeout, Sample
@@ -94,20 +95,20 @@ class AdapterHost:
         driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer))
         log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
         log.fleet_ns = self._fleet_ns
-        return Unit(
-            controller,
-            config,
-            make,
-            driver,
-            around.bus,
-            around.keys,
-            around.clock,
-            around.store(controller),
-            ring,
-            log,
-            around.instance,
-            lambda: self._scale,
+        seat = Seat(
+            controller=controller,
+            config=config,
+            make=make,
+            driver=driver,
+            bus=around.bus,
+            keys=around.keys,
+            clock=around.clock,
+            trace=ring,
+            log=log,
+            instance=around.instance,
+            scale=lambda: self._scale,
         )
+        return Unit(seat, around.store(controller))
 
     def _fleet_ns(self) -> int | None:
         return None if self._scale is None else self._scale.fleet_ns(self._around.clock.now_ns())

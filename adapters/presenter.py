@@ -5,19 +5,15 @@ from collections.abc import Callable, Mapping
 from pydantic import ValidationError
 
 from adapters.condition import Condition
-from adapters.contract import Driver, Make, Reading
+from adapters.contract import Reading
 from adapters.events import EventRing
 from adapters.fence import Fence
 from adapters.mapping import clock_mapping
 from adapters.member import Phase, Ticket
-from orchestrator.bus.base import Bus, Declared, Priority, RequestRefused, Sample
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
-from orchestrator.clock.base import Clock
+from adapters.seat import Seat
+from orchestrator.bus.base import Declared, Priority, RequestRefused, Sample
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.clock.fleet import FleetScale
-from orchestrator.link.trace import TraceRing
-from orchestrator.model.fleet import Controller, Input, Output
+from orchestrator.model.fleet import Input, Output
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -37,38 +33,14 @@ CLOCK_EVERY = 10  # states between two puts of the mapping, which moves slowly
 class Presenter:
     """Builds and puts what others may know of one controller. `ticket` gives the step that it is loaded with."""
 
-    def __init__(
-        self,
-        controller: str,
-        config: Controller,
-        make: Make,
-        driver: Driver,
-        bus: Bus,
-        keys: Keys,
-        clock: Clock,
-        fence: Fence,
-        condition: Condition,
-        trace: TraceRing,
-        log: Log,
-        instance: str,
-        scale: Callable[[], FleetScale | None],
-        ticket: Callable[[], Ticket | None],
-    ) -> None:
-        self._controller = controller
-        self._config = config
-        self._make = make
-        self._driver = driver
-        self._bus = bus
-        self._keys = keys
-        self._clock = clock
+    def __init__(self, seat: Seat, fence: Fence, condition: Condition, ticket: Callable[[], Ticket | None]) -> None:
+        self._seat = seat
+        self._controller, self._config, self._driver = seat.controller, seat.config, seat.driver
+        self._bus, self._keys, self._clock = seat.bus, seat.keys, seat.clock
         self._fence = fence
         self._condition = condition
-        self._trace = trace
-        self._log = log
-        self._instance = instance
-        self._scale = scale
         self._ticket = ticket
-        self._events = EventRing(instance)
+        self._events = EventRing(seat.instance)
         self._state_seq = 0
 
     async def serve(self) -> list[Declared]:
@@ -101,7 +73,7 @@ class Presenter:
         reading, ticket = self._condition.reading, self._ticket()
         return ControllerState(
             controller=self._controller,
-            instance=self._instance,
+            instance=self._seat.instance,
             seq=self._state_seq,
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
@@ -167,7 +139,7 @@ class Presenter:
         )
 
     def _fleet_ns(self) -> int | None:
-        scale = self._scale()
+        scale = self._seat.scale()
         return None if scale is None else scale.fleet_ns(self._clock.now_ns())
 
     # Events
@@ -184,7 +156,7 @@ class Presenter:
         """Put an event, keep it for those who miss it, and log it; a fault with the last bytes on the link."""
         event = Event(
             controller=self._controller,
-            instance=self._instance,
+            instance=self._seat.instance,
             seq=self._events.last_seq + 1,
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
@@ -198,9 +170,11 @@ class Presenter:
         self._events.add(event)
         self._bus.put(self._keys.event(self._controller), event.to_json(), Priority.EVENT)
         about = {"controller": self._controller, "kind": kind, "job": event.job, "step": event.step}
-        self._log.info(text, **about, epoch=self._fence.epoch)
+        self._seat.log.info(text, **about, epoch=self._fence.epoch)
         if kind in ("fault", "failed", "offline"):
-            self._log.info("the last bytes on the link", controller=self._controller, trace=self._trace.tail_text())
+            self._seat.log.info(
+                "the last bytes on the link", controller=self._controller, trace=self._seat.trace.tail_text()
+            )
 
     # Answers
 
@@ -218,8 +192,8 @@ class Presenter:
         identity, capabilities = self._condition.identity, self._driver.capabilities
         return Info(
             controller=self._controller,
-            instance=self._instance,
-            make=self._make.name,
+            instance=self._seat.instance,
+            make=self._seat.make.name,
             model=identity.model if identity else "",
             firmware=identity.firmware if identity else "",
             serial=identity.serial if identity else "",
@@ -229,7 +203,7 @@ class Presenter:
             independent_axes=capabilities.independent_axes,
             costs=capabilities.costs,
             digest=self._config.digest,
-            options_schema=self._make.options.model_json_schema(),
+            options_schema=self._seat.make.options.model_json_schema(),
         ).to_json()
 
 

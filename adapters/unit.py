@@ -4,27 +4,24 @@ Everything here is common to all makes; the make is behind `Driver`.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Coroutine, Mapping
 from typing import Any
 
 from pydantic import ValidationError
 
 from adapters.commands import Commands
 from adapters.condition import Condition
-from adapters.contract import CannotDo, Driver, DriverFault, Make, Reading
+from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.fence import Fence
 from adapters.guard import check_profiles
 from adapters.member import Member, Ticket
 from adapters.presenter import Presenter
+from adapters.seat import Seat
 from adapters.store import Store
-from orchestrator.bus.base import Bus, Declared
-from orchestrator.bus.keys import Keys
-from orchestrator.bus.log import Log
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
+from orchestrator.bus.base import Declared
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.trace import TraceRing
-from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import Arm, Propose
 from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, EventKind, Fault
 
@@ -33,75 +30,27 @@ BACKOFF_LONGEST_NS = 5 * NS_PER_S
 
 
 class Unit:
-    """Runs one controller. `scale` gives fleet time, or None before any coordinator was heard."""
+    """Runs the controller of `seat`; `store` remembers its e-stop latch and epoch."""
 
-    def __init__(
-        self,
-        controller: str,
-        config: Controller,
-        make: Make,
-        driver: Driver,
-        bus: Bus,
-        keys: Keys,
-        clock: Clock,
-        store: Store,
-        trace: TraceRing,
-        log: Log,
-        instance: str,
-        scale: Callable[[], FleetScale | None],
-    ) -> None:
-        self.controller = controller
-        self._config = config
-        self._make = make
-        self._driver = driver
-        self._bus = bus
-        self._keys = keys
-        self._clock = clock
-        self._log = log
-        self._instance = instance
-        self._scale = scale
+    def __init__(self, seat: Seat, store: Store) -> None:
+        self.controller = seat.controller
+        self._seat = seat
+        self._config, self._driver = seat.config, seat.driver
+        self._bus, self._keys, self._clock, self._log = seat.bus, seat.keys, seat.clock, seat.log
         self._fence = Fence(store)
-        self._condition = Condition(dict.fromkeys(config.axes, False))
+        self._condition = Condition(dict.fromkeys(seat.config.axes, False))
         self._member = Member(
-            controller,
-            driver,
-            clock,
+            seat.controller,
+            seat.driver,
+            seat.clock,
             self._check,
             self._require_scale,
             self._emit_step,
             self.refresh,
             self._spawn,
         )
-        self._presenter = Presenter(
-            controller,
-            config,
-            make,
-            driver,
-            bus,
-            keys,
-            clock,
-            self._fence,
-            self._condition,
-            trace,
-            log,
-            instance,
-            scale,
-            lambda: self._member.ticket,
-        )
-        self._commands = Commands(
-            controller,
-            config,
-            driver,
-            keys,
-            self._fence,
-            self._member,
-            self._condition,
-            self._presenter,
-            trace,
-            clock.now_ns,
-            clock.utc,
-            self,
-        )
+        self._presenter = Presenter(seat, self._fence, self._condition, lambda: self._member.ticket)
+        self._commands = Commands(seat, self._fence, self._member, self._condition, self._presenter, self)
         self._poke = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
@@ -115,7 +64,9 @@ class Unit:
             await self._bus.serve(self._keys.cmd(self.controller), self._commands.answer),
         ]
         await self._take_over_latch()
-        self._declared.append(await self._bus.announce(self._keys.live("controller", self.controller, self._instance)))
+        self._declared.append(
+            await self._bus.announce(self._keys.live("controller", self.controller, self._seat.instance))
+        )
         self._spawn(self._live())
 
     async def close(self) -> None:
@@ -167,7 +118,7 @@ class Unit:
         self._condition.faults = []
         await self.refresh()
         identity = self._condition.identity
-        self._presenter.emit("online", f"{self._make.name} {identity.firmware if identity else ''}".strip())
+        self._presenter.emit("online", f"{self._seat.make.name} {identity.firmware if identity else ''}".strip())
         while True:
             await self._next_poll()
             await self.refresh()
@@ -280,7 +231,7 @@ class Unit:
         check_profiles(self._config, request.profiles, reading, condition.referenced)
 
     def _require_scale(self) -> FleetScale:
-        scale = self._scale()
+        scale = self._seat.scale()
         if scale is None:
             raise CannotDo("no-fleet-time", "no coordinator's time is known here", "start a coordinator")
         return scale
