@@ -138,7 +138,7 @@ class LiveFleet:
                 else config.link.model_copy(update={"device": place["device"]})
             )
             controllers[name] = config.model_copy(update={"link": link})
-            self.say(f"{name}: simulated {config.adapter} on {link.place} (instead of {config.link.place})")
+            self.say(f"{name}: simulated {config.adapter} on {link.place}")
         self.fleet = self.fleet.model_copy(update={"controllers": controllers})
 
     async def _route(self) -> None:
