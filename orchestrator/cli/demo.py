@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.common import FAILED, INTERRUPTED, console, json_option, print_json, run
+from orchestrator.cli.common import FAILED, INTERRUPTED, console, fail, json_option, print_json, run
 
 READY_S = 30.0  # for all controllers to be adopted; a second on a machine with nothing else to do
 LOOK_S = 0.05
@@ -56,15 +56,21 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
                 await live.close()
 
     report = run(main())
-    good = report.state == "done" and all(step.verdict in ("green", "none") for step in report.steps)
+    unsure = [step for step in report.steps if step.verdict not in ("green", "none")]
     if as_json:
         print_json(summary(report))
     else:
         from orchestrator.monitor.report_table import report_tables
 
         console.print(report_tables(report))
-    if not good:
+    if report.state != "done":
         raise SystemExit(FAILED)
+    if unsure:
+        names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)
+        fail(
+            f"the start skew is not surely within what the job allows in step {names}",
+            remedy="the machine was perhaps too busy to take the controllers' answers in time; try again",
+        )
 
 
 async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: bool) -> Any:
