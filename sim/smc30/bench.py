@@ -1,0 +1,61 @@
+"""The bench that test vectors of the SMC30 run on."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from sim.core.controller import LimitSwitch
+from sim.smc30.controller import Smc30Controller
+
+
+class _Truth(BaseModel):
+    """The physical truths of a vector: positions in steps, analogue inputs in volts."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    position: dict[str, int] = {}
+    inputs: dict[int, bool] = {}
+    analog: dict[int, float] = {}
+    outputs: dict[int, bool] = {}
+    limits: dict[str, LimitSwitch] = {}
+    stalled: list[str] = []
+    power: Literal["cycle"] | None = None
+
+
+class Bench:
+    """A controller without delays, and the handles that vectors need."""
+
+    def __init__(self, controller: Smc30Controller) -> None:
+        self._controller = controller
+
+    @property
+    def controller(self) -> Smc30Controller:
+        return self._controller
+
+    @property
+    def port(self) -> str:
+        return "serial"
+
+    def given(self, truth: Mapping[str, object]) -> None:
+        """Bring about what a vector's `given` or a `setup` step states."""
+        stated = _Truth.model_validate(dict(truth))
+        controller = self._controller
+        if stated.power is not None:
+            controller.set_power(False)
+            controller.set_power(True)
+        for axis, counter in stated.position.items():
+            controller.unit(axis).drive.set_counter(counter)
+        for number, level in stated.inputs.items():
+            controller.set_input(number, level)
+        for number, volts in stated.analog.items():
+            controller.set_volts(number, volts)
+        for number, level in stated.outputs.items():
+            controller.set_output(number, level)
+        for axis, which in stated.limits.items():
+            controller.set_limit(axis, which)
+        for axis in stated.stalled:
+            controller.set_stalled(axis, True)
+
+    def refused(self, reply: bytes) -> bool:
+        return reply[:1] in (b"E", b"B")

@@ -1,0 +1,97 @@
+"""User inputs with their filter, and analogue inputs (L593-L767)."""
+
+from collections.abc import Callable
+
+from orchestrator.clock.base import Timer
+from sim.smc30.devicetime import DeviceTime
+from sim.smc30.statements import Contact, Scaled, StartCondition, Threshold
+
+USER_INPUTS = 3
+ANALOGUE_INPUTS = 6
+_STEPS_PER_VOLT = 50
+_FULL_SCALE = 255
+_LOGIC_ONE = 125  # 2.5 V (L2731)
+
+
+class Inputs:
+    """Levels as the firmware sees them; `changed` is called whenever one changes."""
+
+    def __init__(self, time: DeviceTime, filter_ns: int, changed: Callable[[], None]) -> None:
+        self._time = time
+        self._filter_ns = filter_ns
+        self._changed = changed
+        self._wire = [False] * (USER_INPUTS + 1)
+        self._pending: dict[int, Timer] = {}
+        self._user = [False] * (USER_INPUTS + 1)
+        self._analogue = [0] * (ANALOGUE_INPUTS + 1)
+        self.generation = 0
+        """Counts the changes."""
+
+    def set_user(self, number: int, level: bool) -> None:
+        """The wire of user input `number` is at `level` now; seen when it stays so for the filter's time."""
+        if level == self._wire[number]:
+            return
+        self._wire[number] = level
+        if (timer := self._pending.pop(number, None)) is not None:
+            timer.cancel()
+        if not self._filter_ns:
+            self._see(number)
+        elif level != self._user[number]:
+            due_ns = self._time.now_ns() + self._filter_ns
+            self._pending[number] = self._time.call_at(due_ns, lambda: self._see(number))
+
+    def set_volts(self, number: int, volts: float) -> None:
+        """The voltage at analogue input `number`; 20 mV a step, 0-5.10 V (L2211-L2223)."""
+        level = min(max(int(volts * _STEPS_PER_VOLT + 1e-6), 0), _FULL_SCALE)
+        if level != self._analogue[number]:
+            self._analogue[number] = level
+            self._tell()
+
+    def power_up(self) -> None:
+        """What the wires carry is seen at once."""
+        for timer in self._pending.values():
+            timer.cancel()
+        self._pending.clear()
+        self._user = list(self._wire)
+
+    def user(self, number: int) -> bool:
+        return self._user[number]
+
+    def pattern(self) -> int:
+        """Bit value 1 = input 1, 2 = input 2, 4 = input 3."""
+        return sum(1 << (number - 1) for number in range(1, USER_INPUTS + 1) if self._user[number])
+
+    def analogue(self, number: int) -> int:
+        """Level 0-255."""
+        return self._analogue[number]
+
+    def closed(self, contact: Contact) -> bool:
+        """Whether a digital input is logic 1."""
+        if contact.analogue:
+            return self._analogue[contact.number] >= _LOGIC_ONE
+        return self._user[contact.number]
+
+    def beyond(self, threshold: Threshold) -> bool:
+        above = self._analogue[threshold.input] >= threshold.reference
+        return above == threshold.above
+
+    def fulfilled(self, condition: StartCondition) -> bool:
+        """Whether a level or a threshold is present."""
+        if isinstance(condition, Threshold):
+            return self.beyond(condition)
+        return self._user[condition.input] == condition.level
+
+    def scaled(self, scaled: Scaled) -> int:
+        """Linear between the values at 0 V and at 5.10 V, truncated (L1984-L1986)."""
+        level = self._analogue[scaled.input]
+        return (scaled.at_zero * (_FULL_SCALE - level) + scaled.at_full * level) // _FULL_SCALE
+
+    def _see(self, number: int) -> None:
+        self._pending.pop(number, None)
+        if self._user[number] != self._wire[number]:
+            self._user[number] = self._wire[number]
+            self._tell()
+
+    def _tell(self) -> None:
+        self.generation += 1
+        self._changed()
