@@ -9,6 +9,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from adapters.contract import Firer, Make, Setup
+from adapters.firing import TracedFirer
 from adapters.seat import Seat
 from adapters.store import Store
 from adapters.unit import Unit
@@ -92,7 +93,9 @@ class AdapterHost:
             return TracedLink(await open_plain(), ring)
 
         options = make.options.model_validate(config.options)
-        driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer))
+        driver = make.driver(
+            Setup(controller, config, options, around.clock, open_link, TracedFirer(around.firer, ring))
+        )
         log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
         log.fleet_ns = self._fleet_ns
         seat = Seat(

@@ -63,8 +63,8 @@ def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.S
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise RouterUnreachable(
-            f"no router answered at {endpoint} within {timeout_s:g} s; "
-            f"start one there, or correct the endpoint in the fleet file ({error})"
+            f"no router answered at {endpoint} within {timeout_s:g} s; start one there (`tutti up FLEET`), or give the "
+            "right endpoint with --connect"
         ) from error
 
 

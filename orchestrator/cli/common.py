@@ -10,10 +10,11 @@ from typing import Any, NoReturn, TypeVar
 import click
 from rich.console import Console
 
+from orchestrator.cli.codes import BAD_INPUT, FAILED, INTERRUPTED, UNREACHABLE
+
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-FAILED, BAD_INPUT, UNREACHABLE, INTERRUPTED = 1, 2, 3, 130
 
 console = Console()
 errors = Console(stderr=True)

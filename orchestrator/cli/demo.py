@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.common import FAILED, INTERRUPTED, console, fail, json_option, print_json, run
+from orchestrator.cli.codes import FAILED, INTERRUPTED
+from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 READY_S = 30.0  # for all controllers to be adopted; a second on a machine with nothing else to do
 LOOK_S = 0.05

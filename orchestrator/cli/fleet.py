@@ -4,7 +4,8 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.common import FAILED, console, errors, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.codes import FAILED
+from orchestrator.cli.common import console, errors, fleet_options, json_option, print_json, with_fleet
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")

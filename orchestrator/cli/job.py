@@ -5,7 +5,8 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.common import FAILED, console, errors, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.codes import FAILED
+from orchestrator.cli.common import console, errors, fleet_options, json_option, print_json, with_fleet
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.common import INTERRUPTED
+from orchestrator.cli.codes import INTERRUPTED
 
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {

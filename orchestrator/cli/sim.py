@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import BAD_INPUT, FAILED, console, fail, json_option, print_json
+from orchestrator.cli.codes import BAD_INPUT, FAILED
+from orchestrator.cli.common import console, fail, json_option, print_json
 
 
 @click.group(epilog="Example: tutti sim check smc4000 vectors.jsonl")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import FAILED, INTERRUPTED, console, run
+from orchestrator.cli.codes import FAILED, INTERRUPTED
+from orchestrator.cli.common import console, run
 
 
 @click.command(

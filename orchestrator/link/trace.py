@@ -19,7 +19,10 @@ class TraceRing:
         self._entries: deque[Entry] = deque(maxlen=KEPT_ENTRIES)
 
     def add(self, at_ns: int, direction: Direction, data: bytes) -> None:
+        late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
+        if late:  # what another process wrote is told afterwards
+            self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=KEPT_ENTRIES)
         while self._entries[0][0] < at_ns - KEPT_NS:
             self._entries.popleft()
 

@@ -262,3 +262,13 @@ def test_an_estop_takes_outputs_to_their_safe_state() -> None:
         assert not fleet.controllers["gantry"].output(1)
 
     run_fleet(main)
+
+
+def test_the_trace_shows_the_fired_line_in_its_place() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE, job("[{do: move, to: {stage.u: 1}}]"))
+        entries = (await fleet.client().trace("stage")).entries
+        assert [text for _, direction, text in entries if direction == "out" and text.startswith("G:")] == ["G:1\r\n"]
+        assert [at_ns for at_ns, _, _ in entries] == sorted(at_ns for at_ns, _, _ in entries)
+
+    run_fleet(main)
