@@ -8,10 +8,9 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from adapters.contract import Fired, FireOrder, Firer
+from adapters.contract import Fired
 from orchestrator.clock.base import Clock, Timer
 from orchestrator.link.base import Link
-from orchestrator.link.trace import TraceRing
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,32 +68,3 @@ class LoopFirer:
 
     def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _LoopOrder:
         return _LoopOrder(self._clock, link, Order(data, at_ns + self._wake_ns(), latest_ns))
-
-
-class TracedFirer:
-    """A firer whose writes appear in a link's trace, as those of the link itself do."""
-
-    def __init__(self, firer: Firer, ring: TraceRing) -> None:
-        self._firer = firer
-        self._ring = ring
-
-    def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> "_TracedOrder":
-        return _TracedOrder(self._firer.schedule(link, data, at_ns, latest_ns), data, self._ring)
-
-
-class _TracedOrder:
-    def __init__(self, order: FireOrder, data: bytes, ring: TraceRing) -> None:
-        self._order = order
-        self._data = data
-        self._ring = ring
-
-    def cancel(self) -> bool:
-        return self._order.cancel()
-
-    async def done(self) -> Fired:
-        fired = await self._order.done()
-        if not fired.late and self._data:
-            # Asked twice, it is still one write.
-            self._ring.add(fired.written_ns, "out", self._data)
-            self._data = b""
-        return fired

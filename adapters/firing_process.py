@@ -92,10 +92,11 @@ def _fire(control: socket.socket, number: int, pending: _Pending) -> None:
 class _ProcessOrder:
     """An order that the firing process holds."""
 
-    def __init__(self, firer: "ProcessFirer", number: int, place: str) -> None:
+    def __init__(self, firer: "ProcessFirer", number: int, link: Link, data: bytes) -> None:
         self._firer = firer
         self._number = number
-        self._place = place
+        self._link = link
+        self._data = data
         self.fired: asyncio.Future[Fired] = asyncio.get_running_loop().create_future()
         self.cancelled = False
 
@@ -114,11 +115,14 @@ class _ProcessOrder:
         if self.fired.done():
             return
         if "error" in message:
-            self.fired.set_exception(LinkClosed(f"{self._place}: {message['error']}"))
+            self.fired.set_exception(LinkClosed(f"{self._link.place}: {message['error']}"))
         elif message.get("cancelled"):
             self.fired.cancel()
         elif "written_ns" in message:
-            self.fired.set_result(Fired(int(str(message["written_ns"])), bool(message["late"])))
+            fired = Fired(int(str(message["written_ns"])), bool(message["late"]))
+            if not fired.late:
+                self._link.wrote(fired.written_ns, self._data)
+            self.fired.set_result(fired)
 
 
 class ProcessFirer:
@@ -137,7 +141,7 @@ class ProcessFirer:
 
     def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _ProcessOrder:
         number = next(self._numbers)
-        order = self._orders[number] = _ProcessOrder(self, number, link.place)
+        order = self._orders[number] = _ProcessOrder(self, number, link, data)
         message = {"id": number, "data": data.decode("latin-1"), "at_ns": at_ns, "latest_ns": latest_ns}
         socket.send_fds(self._control, [json.dumps(message).encode()], [link.fileno()])
         return order

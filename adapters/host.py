@@ -9,7 +9,6 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from adapters.contract import Firer, Make, Setup
-from adapters.firing import TracedFirer
 from adapters.seat import Seat
 from adapters.store import Store
 from adapters.unit import Unit
@@ -93,9 +92,7 @@ class AdapterHost:
             return TracedLink(await open_plain(), ring)
 
         options = make.options.model_validate(config.options)
-        driver = make.driver(
-            Setup(controller, config, options, around.clock, open_link, TracedFirer(around.firer, ring))
-        )
+        driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer))
         log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
         log.fleet_ns = self._fleet_ns
         seat = Seat(

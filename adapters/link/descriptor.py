@@ -42,6 +42,9 @@ class DescriptorLink:
         self._require_open()
         return self._fd
 
+    def wrote(self, at_ns: int, data: bytes) -> None:
+        """A link keeps no record of itself; `TracedLink` does."""
+
     def write(self, data: bytes) -> int:
         self._require_open()
         at_ns = self._clock.now_ns()

@@ -45,6 +45,10 @@ class Link(Protocol):
         """The descriptor that a firing process may write to; -1 for a link in memory."""
         ...
 
+    def wrote(self, at_ns: int, data: bytes) -> None:
+        """Take note that a firing process has written `data` to the descriptor at host time `at_ns`."""
+        ...
+
     async def close(self) -> None:
         """Close; a waiting `read` raises `LinkClosed`. Safe to call twice."""
         ...

@@ -148,6 +148,9 @@ class MemoryLink:
     def fileno(self) -> int:
         return -1
 
+    def wrote(self, at_ns: int, data: bytes) -> None:
+        """A link keeps no record of itself; `TracedLink` does."""
+
     def write(self, data: bytes) -> int:
         wire, now_ns = self._wire, self._wire.clock.now_ns()
         if not self._open:

@@ -62,5 +62,8 @@ class TracedLink:
     def fileno(self) -> int:
         return self._link.fileno()
 
+    def wrote(self, at_ns: int, data: bytes) -> None:
+        self._ring.add(at_ns, "out", data)
+
     async def close(self) -> None:
         await self._link.close()
