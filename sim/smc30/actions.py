@@ -47,6 +47,7 @@ class Actions:
         self,
         options: UnitOptions,
         tempo: Tempo,
+        store_tempo: Tempo,
         values: Values,
         motor: MotorCommands,
         outputs: Outputs,
@@ -56,6 +57,7 @@ class Actions:
     ) -> None:
         self._options = options
         self._tempo = tempo
+        self._store_tempo = store_tempo
         self._values = values
         self._motor = motor
         self._outputs = outputs
@@ -151,7 +153,7 @@ class Actions:
                 done()
 
             if seconds:
-                self._tempo.after(round(seconds * _NS_PER_S), over)
+                self._store_tempo.after(round(seconds * _NS_PER_S), over)
             else:
                 over()
 

@@ -58,4 +58,5 @@ class Bench:
             controller.set_stalled(axis, True)
 
     def refused(self, reply: bytes) -> bool:
-        return reply[:1] in (b"E", b"B")
+        """Whether one of the answers is an error, or B: not taken."""
+        return any(line[:1] in (b"E", b"B") for line in reply.split(b"\r"))

@@ -30,6 +30,16 @@ class _Pending:
     timer: Timer
 
 
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """A reply on the shared line, in true time."""
+
+    begin_ns: int
+    end_ns: int
+    station: "Station"
+    data: bytes
+
+
 class Station:
     """A unit on the line: what it hears, how long its firmware takes, what it says."""
 
@@ -48,6 +58,7 @@ class Station:
         self._timing = timing
         self._generator = generator
         self._checksum = options.checksum
+        self.address = options.address
         self._reader = StringReader(options.address, options.checksum, options.line_limit, bus.options.parity)
         self._pending: deque[_Pending] = deque()
         self._busy_until_ns = 0
@@ -79,7 +90,7 @@ class Station:
         data = text.encode("ascii")
         if self._checksum:
             data += bytes((checksum(data),))
-        self._bus.transmit(data + b"\r")
+        self._bus.transmit(self, data + b"\r")
 
     def set_power(self, on: bool) -> None:
         if on == self.unit.on:
@@ -123,8 +134,9 @@ class Smc30Controller:
         self.options = options
         self.record: list[Motion] = []
         self._port: Port | None = None
-        self._line_busy: tuple[int, int, bytes] = (0, 0, b"")
-        """Begin and end of the last reply on the shared line, and the reply."""
+        self._arrived: deque[bytes] = deque()
+        """Bytes being heard, and behind them those that came meanwhile."""
+        self._last: _Sent | None = None
         self._character_ns = _BITS_PER_CHARACTER * NS_PER_S // options.baud
         each = options.each()
         self._numbers_by_place = len(each) > 1
@@ -159,27 +171,38 @@ class Smc30Controller:
             self._port = None
 
     def received(self, port: Port, data: bytes) -> None:
-        """Every unit sees every byte."""
-        if port is self._port:
+        """Every unit sees every byte, in order even if an answer makes the other end send more at once."""
+        if port is not self._port:
+            return
+        self._arrived.append(data)
+        if len(self._arrived) > 1:
+            return
+        while self._arrived:
             for station in self._stations:
-                station.hear(data)
+                station.hear(self._arrived[0])
+            self._arrived.popleft()
 
-    def transmit(self, data: bytes) -> None:
-        """A unit begins to send. Where another one is still sending, both drive the line and characters are garbled.
+    def transmit(self, station: Station, data: bytes) -> None:
+        """A unit begins to send. Two units with one address drive the line together and garble each other.
 
-        What the earlier one has sent can not be taken back: the later one's characters come out mixed with it.
+        What the earlier one has sent can not be taken back: the later one's characters come out mixed with it. Units
+        with different addresses do so only with the option, as it takes wires that need time like real ones.
         """
-        now_ns = self._clock.now_ns()
         if len(self._stations) > 1:
-            begin_ns, end_ns, earlier = self._line_busy
-            sent = data
-            if now_ns < end_ns:
-                offset = (now_ns - begin_ns) // self._character_ns
-                under = earlier[offset:].ljust(len(data), b"\x7f")
-                data = bytes(one & other for one, other in zip(data, under, strict=False))
-            self._line_busy = (now_ns, max(end_ns, now_ns + len(sent) * self._character_ns), sent)
+            data = self._mixed(station, data)
         if self._port is not None:
             self._port.send(odd_parity(data) if self.options.parity == "wire" else data)
+
+    def _mixed(self, station: Station, data: bytes) -> bytes:
+        now_ns, last = self._clock.now_ns(), self._last
+        end_ns = now_ns + len(data) * self._character_ns
+        self._last = _Sent(now_ns, end_ns, station, data)
+        if last is None or last.station is station or now_ns >= last.end_ns:
+            return data
+        if last.station.address != station.address and self.options.collisions == "same_address":
+            return data
+        under = last.data[(now_ns - last.begin_ns) // self._character_ns :].ljust(len(data), b"\x7f")
+        return bytes(one & other for one, other in zip(data, under, strict=False))
 
     # The world
 

@@ -75,6 +75,8 @@ class Drive:
         self._frozen: _Frozen | None = None
         self.held = False
         """The Stop input is active."""
+        self.overflow = False
+        """The counter's limit has stopped the motor, and nobody has set the counter since (decision 17)."""
 
     # Position
 
@@ -100,6 +102,7 @@ class Drive:
         return self._counter + self._made()
 
     def set_counter(self, value: int) -> None:
+        self.overflow = False
         self._counter = value - self._made()
 
     def _made(self) -> int:
@@ -129,6 +132,7 @@ class Drive:
         elif self.switch(sign):
             ended(End.SWITCH)
         elif self._room(sign) < 1:
+            self.overflow = True
             ended(End.OVERFLOW)
         else:
             motion = Motion(self._axis, self._time.true_ns(), float(self._counter))
@@ -158,6 +162,7 @@ class Drive:
 
     def _finish(self, run: _Run, steps: int, end: End) -> None:
         self._close(run, steps)
+        self.overflow = self.overflow or end is End.OVERFLOW
         run.ended(end)
 
     def _close(self, run: _Run, steps: int) -> None:

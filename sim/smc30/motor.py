@@ -60,7 +60,7 @@ class Conversion:
         return units if self.factor is None else self._whole(units * self.factor)
 
     def _whole(self, total: int) -> int:
-        steps = math.trunc(total / _FRACTION)
+        steps = abs(total) // _FRACTION * (-1 if total < 0 else 1)
         self.remainder = total - steps * _FRACTION
         return steps
 

@@ -77,6 +77,9 @@ class Options(UnitOptions):
     baud: Literal[110, 150, 300, 600, 1200, 2400, 4800, 9600] = 9600
     """DIP B0-B2; used only for how long a reply occupies the shared line."""
 
+    collisions: Literal["same_address", "any"] = "same_address"
+    """Which replies that overlap garble each other: of units with one address only, or of any two."""
+
     def each(self) -> list[UnitOptions]:
         """The units one by one: what all have in common, and on top what each one states."""
         if not self.units:

@@ -26,7 +26,6 @@ from sim.smc30.statements import (
     Assign,
     Contact,
     Flow,
-    Force,
     Home,
     Initialize,
     Line,
@@ -61,15 +60,25 @@ class Unit:
         self.options = options
         self._emit = emit
         self._tempo = Tempo(time)
+        self._store_tempo = Tempo(time)
+        """Of the permanent memory, which the Stop input does not concern."""
         self.inputs = Inputs(time, round(options.input_filter_ms * _NS_PER_MS), self._inputs_changed)
         self.outputs = Outputs()
         self.drive = Drive(time, axis, motions, options.travel_steps)
         self.modules = Modules(options)
         self._values = Values(Parameters(), self.inputs, self.drive, options.overflow_wraps)
-        self._motor = MotorCommands(options, self._tempo, self.drive, self._values, self._overflowed)
+        self._motor = MotorCommands(options, self._tempo, self.drive, self._values, self._abort)
         self._permanent = PermanentMemory()
         self._actions = Actions(
-            options, self._tempo, self._values, self._motor, self.outputs, self._permanent, self.modules, emit
+            options,
+            self._tempo,
+            self._store_tempo,
+            self._values,
+            self._motor,
+            self.outputs,
+            self._permanent,
+            self.modules,
+            emit,
         )
         line_ns = round(options.line_ms * _NS_PER_MS)
         self._program = Program(time, self._tempo, line_ns, self._values, self._actions, self._program_over)
@@ -79,8 +88,6 @@ class Unit:
         """A command given in Standby goes on."""
         self._storing = False
         """It is an access to the permanent memory, which nothing interrupts."""
-        self._overflow = False
-        """The counter's limit has stopped the motor, and nobody has set the counter since (decision 17)."""
         self._fault: Code | None = None
         """Why a program has ended; told by the next F (decision 26)."""
         self._first = options.power_up_e1
@@ -117,7 +124,7 @@ class Unit:
         self._motor.conversion.remainder = 0
         self._working.clear()
         self._mode = Mode.STANDBY
-        self._overflow, self._fault = False, None
+        self._fault = None
         self._first = self.options.power_up_e1
         self.drive.set_counter(0)
         self.inputs.power_up()
@@ -189,7 +196,7 @@ class Unit:
             case "K":
                 self._abort()
                 self.drive.kill()
-                self._overflow = False
+                self.drive.overflow = False
                 self._emit("Y")
             case "Z":
                 self._abort()
@@ -198,6 +205,7 @@ class Unit:
             case "E":
                 self._mode = Mode.STANDBY
                 self._emit("Y")
+                self._fault = None
                 self._program.start(self._working.lines)
             case "PO":
                 self._working.clear()
@@ -223,7 +231,7 @@ class Unit:
     def _status(self) -> str:
         if self.busy:
             return "B"
-        if self._overflow:
+        if self.drive.overflow:
             return "E5"
         fault, self._fault = self._fault, None
         return fault or "R"
@@ -266,8 +274,6 @@ class Unit:
         if isinstance(statement, Move | MoveAnalogue | Home) and not self.options.direct_moves:
             raise Refused("E4")
         activity = self._actions.perform(statement)
-        if isinstance(statement, Force) or (isinstance(statement, Initialize) and statement.what in (1, 3)):
-            self._overflow = False
         if activity is not None and isinstance(statement, Initialize):
             self._store(activity)
             return
@@ -302,12 +308,9 @@ class Unit:
         self._program.abort()
         self._motor.abort()
         self._tempo.cancel()
+        self._store_tempo.cancel()
         self._direct = self._storing = False
         self._mode = Mode.STANDBY
-
-    def _overflowed(self) -> None:
-        self._abort()
-        self._overflow = True
 
     def _program_over(self, code: Code | None) -> None:
         if code is not None:
