@@ -57,7 +57,11 @@ def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
     ("steps", "code", "text"),
     [
         ("[{do: move, to: {gantry.x: 10}}]", "not-enabled", "axis gantry.x is not enabled"),
-        ("[{do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 10}}]", "not-referenced", "gantry.x is not referenced"),
+        (
+            "[{do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 10}}]",
+            "not-referenced",
+            "gantry.x is not referenced",
+        ),
         ("[{do: home, axes: [gantry]}]", "not-enabled", "axis x is not enabled"),
     ],
 )
@@ -198,7 +202,9 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
     async def main(fleet: VirtualFleet) -> None:
         fleet.start_coordinator("second")
         await asyncio.sleep(2.0)
-        assert any("reigns in fleet demo (epoch 1); stop it first, or start with --take-over" in line for line in fleet.lines)
+        assert any(
+            "reigns in fleet demo (epoch 1); stop it first, or start with --take-over" in line for line in fleet.lines
+        )
         other = demo_fleet()
         gantry = other.controllers["gantry"].model_copy(update={"options": {"decode_us": 700}})
         fleet.fleet = other.model_copy(update={"controllers": other.controllers | {"gantry": gantry}})

@@ -36,7 +36,12 @@ def test_virtual_code_has_no_other_time_and_no_other_chance(path: Path) -> None:
         assert not BANNED & set(names), f"{path} imports {names}"
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "random":
             assert node.attr in ("Random",), f"{path}:{node.lineno} draws from the unseeded generator"
-        if isinstance(node, ast.Attribute) and node.attr in ("monotonic", "perf_counter", "run_in_executor", "to_thread"):
+        if isinstance(node, ast.Attribute) and node.attr in (
+            "monotonic",
+            "perf_counter",
+            "run_in_executor",
+            "to_thread",
+        ):
             raise AssertionError(f"{path}:{node.lineno} uses {node.attr}")
 
 
