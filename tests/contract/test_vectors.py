@@ -44,7 +44,7 @@ def test_a_bad_file_is_named_with_its_line(tmp_path: Path, text: str) -> None:
 
 
 def test_unknown_model_and_id() -> None:
-    with pytest.raises(ValueError, match="known models: .*shrc203"):
+    with pytest.raises(ValueError, match=r"known models: .*shrc203"):
         check_file("abc", VECTORS / "smc4000.vectors.jsonl")
-    with pytest.raises(ValueError, match=r"no vector has the id"):
+    with pytest.raises(ValueError, match="no vector has the id"):
         check_file("smc4000", VECTORS / "smc4000.vectors.jsonl", only="smc4000-none")
