@@ -89,8 +89,8 @@ class Actions:
                 values.drive.set_counter(position)
             case Arm():
                 self._motor.armed = statement
-            case SetCurrent():
-                self._set_current(statement)
+            case SetCurrent(which, milliamps):
+                values.parameters.currents_ma[which] = milliamps
             case SetRate(rate, value):
                 values.parameters.set(rate, value)
             case RateFromAnalogue(rate, input_, scale):
@@ -123,10 +123,6 @@ class Actions:
                 # L is flow and n is never a target: both are sorted out before.
                 raise Refused("E4")
         return None
-
-    def _set_current(self, statement: SetCurrent) -> None:
-        check_current(self._options, statement)
-        self._values.parameters.currents_ma[statement.which] = statement.milliamps
 
     def _initialize(self, what: int) -> Activity | None:
         values = self._values
@@ -179,9 +175,3 @@ class Actions:
 
     def _printed(self, what: Operand | str) -> str:
         return what if isinstance(what, str) else str(self._values.read(what))
-
-
-def check_current(options: UnitOptions, statement: SetCurrent) -> None:
-    """E4 above 6000 mA on an SMC30B (L2008)."""
-    if options.type == "SMC30B" and statement.milliamps > 6000:
-        raise Refused("E4")

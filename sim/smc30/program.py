@@ -79,8 +79,10 @@ class Program:
         self._repeats: list[_Repeat] = []
         self._awaited: Contact | None = None
         self._lap: _Lap | None = None
-        self._parked_ns: int | None = None
-        """Time of a lap that can only change with an input; the program sleeps in it."""
+        self._path: list[int] = []
+        """Lines executed since the last jump back, as long as they were decisions."""
+        self._parked: list[int] = []
+        """Lines of a lap whose course only an input can change; the program sleeps in it."""
         self._burst = 0
 
     def start(self, lines: list[Line]) -> None:
@@ -95,7 +97,8 @@ class Program:
         self._repeats.clear()
         self._awaited = None
         self._lap = None
-        self._parked_ns = None
+        self._path = []
+        self._parked = []
         self._burst = 0
 
     def inputs_changed(self) -> None:
@@ -105,12 +108,18 @@ class Program:
         if self._awaited is not None and self._values.inputs.closed(self._awaited):
             self._awaited = None
             self._advance()
-        elif self._parked_ns is not None and self._lap is not None:
-            # Laps of the same length have gone on all the while: go on where the next one begins.
-            lap_ns, since_ns = self._parked_ns, self._time.now_ns() - self._lap.at_ns
-            self._parked_ns = None
-            self._lap = None
-            self._tempo.after(-since_ns % lap_ns if lap_ns else 0, self._advance)
+        elif self._parked and self._lap is not None:
+            self._unpark(self._parked, self._lap)
+
+    def _unpark(self, path: list[int], lap: _Lap) -> None:
+        """The same laps have gone on all the while: go on with the line that is next in this one."""
+        self._parked, self._path, self._lap = [], [], None
+        index, within_ns = 0, 0
+        if self._line_ns:
+            into_ns = (self._time.now_ns() - lap.at_ns) % (len(path) * self._line_ns)
+            index, within_ns = divmod(into_ns, self._line_ns)
+        self._at = path[index]
+        self._tempo.after(self._line_ns - within_ns, self._line_due)
 
     # Lines
 
@@ -148,6 +157,8 @@ class Program:
         """Execute the line; whether the next one can follow at once."""
         here = self._at
         self._at += 1
+        if self._lap is not None:
+            self._path.append(here)
         statement = self._lines[here].statement
         try:
             activity = self._execute(here, statement)
@@ -156,7 +167,7 @@ class Program:
             return False
         if activity is not None:
             return self._live(activity)
-        return self._awaited is None and self._parked_ns is None
+        return self._awaited is None and not self._parked
 
     def _live(self, activity: Activity) -> bool:
         """Begin what takes time; whether it was over at once."""
@@ -217,13 +228,15 @@ class Program:
     def _touch(self) -> None:
         """Something other than a decision was done: laps before and after it are not alike."""
         self._lap = None
+        self._path = []
 
     def _jump_if(self, condition: bool, here: int, line: int) -> None:
         if condition:
             self._jump(here, line)
 
     def _jump(self, here: int, line: int) -> None:
-        if line >= len(self._lines):
+        if line > len(self._lines):
+            # The line after the last one is the end, where a label there leads; beyond it is an error (decision 26).
             raise Refused("E4")
         self._at = line
         if line > here:
@@ -231,8 +244,9 @@ class Program:
         now_ns, generation = self._time.now_ns(), self._values.inputs.generation
         last = self._lap
         self._lap = _Lap(here, line, generation, now_ns)
+        path, self._path = self._path, []
         if last is not None and (last.source, last.target, last.generation) == (here, line, generation):
-            self._parked_ns = now_ns - last.at_ns
+            self._parked = path
 
     def _until_start(self, here: int) -> int:
         """The line after the U before, or line 0 (decision 24)."""

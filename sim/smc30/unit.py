@@ -6,7 +6,7 @@ from enum import Enum, auto
 from typing import Literal
 
 from sim.core.controller import Motion
-from sim.smc30.actions import Actions, check_current
+from sim.smc30.actions import Actions
 from sim.smc30.devicetime import DeviceTime, Tempo
 from sim.smc30.drive import Drive
 from sim.smc30.expressions import Values
@@ -38,6 +38,8 @@ from sim.smc30.statements import (
 
 _NS_PER_MS = 1_000_000
 _SYSTEM = re.compile(r"(PE|PO|PX|TP|V1|V2|VS|VT|VR|VA|[EFKMQXZ])([+-]?\d*)")
+_MOST_MILLIAMPS = {"SMC30B": 6000, "SMC30C": 12_000}
+"""Highest current of CS, CR and CT (L2008)."""
 _NOT_IN_PROGRAMMING = frozenset(("M", "X", "V1", "V2"))
 """Not accepted in Programming Mode: neither storable nor documented there (L2459)."""
 
@@ -263,8 +265,8 @@ class Unit:
                 return f"TP{self.options.temperature_c}"
 
     def _statement(self, text: str, statement: Statement) -> None:
-        if isinstance(statement, SetCurrent):
-            check_current(self.options, statement)
+        if isinstance(statement, SetCurrent) and statement.milliamps > _MOST_MILLIAMPS[self.options.type]:
+            raise Refused("E4")
         if self._mode is Mode.PROGRAMMING:
             self._working.append(Line(text, statement))
             self._emit("Y")

@@ -300,7 +300,9 @@ def test_busy_answers_and_live_verify() -> None:
     assert rig.ask("Z F") == "Y R"
     assert Rig({"power_up_e1": True}).ask("F F") == "E1 R"
     assert Rig({"direct_moves": False}).ask("+10 A1") == "E4 Y"
-    assert Rig({"type": "SMC30B"}).ask("CS6000 CS6001") == "Y E4"
+    small = Rig({"type": "SMC30B"})
+    assert small.ask("CS500 CR6000 CT6001") == "Y Y E4"
+    assert small.bus.unit("1").parameters.currents_ma == {"CS": 500, "CR": 6000, "CT": 1000}
 
 
 def test_what_programming_mode_takes() -> None:
@@ -336,6 +338,56 @@ def test_endless_loops_do_not_stop_the_clock() -> None:
     rig.program("A1 C1 J0")
     rig.wait(1)
     assert rig.ask("F K") == "B Y"
+
+
+def test_a_polling_loop_sleeps_and_keeps_its_phase() -> None:
+    rig = Rig(ideal=False)
+    # Lines are 1 ms each: E at 0, JC0.0 at 1, 2, 3, … ms; seen 0.16 ms after the wire; A1 one line later.
+    rig.program("JC0.0 A1 JC1=1.2")
+    changes: list[tuple[int, bool]] = []
+    rig.bus.on_output(lambda number, level: changes.append((rig.clock.now_ns(), level)))
+    rig.wait(0.0105)
+    rig.bus.set_input(1, True)
+    rig.wait(0.0001)
+    assert rig.clock.next_ns() == 10_660_000
+    rig.wait(0.02)
+    assert changes == [(12 * MS, True)]
+    assert rig.clock.next_ns() is None
+    rig.bus.set_input(1, False)
+    rig.wait(0.0021)
+    assert rig.ask("F") == "R"
+
+
+def test_a_pulse_shorter_than_the_filter_is_not_seen() -> None:
+    rig = Rig(ideal=False)
+    rig.program("W2 A1")
+    rig.bus.set_input(2, True)
+    rig.wait(0.0001)
+    rig.bus.set_input(2, False)
+    rig.wait(0.1)
+    assert rig.ask("F") == "B"
+    rig.bus.set_input(2, True)
+    rig.wait(0.01)
+    assert rig.ask("F V2") == "R V21"
+
+
+def test_stop_conditions_of_n_and_na() -> None:
+    rig = Rig()
+    rig.program("R1000 NAX.A2>100 g+ N11.91 g- A1")
+    rig.wait(3)
+    rig.bus.set_volts(2, 2.0)
+    rig.wait(1.81)
+    assert rig.bus.velocity("1") == pytest.approx(100, abs=10)
+    rig.wait(0.5)
+    # The ramp of 1000 steps is made once more; then the second run goes back until input 1 is high.
+    top = rig.bus.motions[0].end_counts
+    assert top is not None
+    assert top == pytest.approx(1000 + 1000 * (3 - 2000 / 1100) + 1000, abs=2)
+    assert rig.bus.velocity("1") < -100
+    rig.bus.set_input(1, True)
+    rig.wait(1)
+    assert rig.ask("F V2") == "R V11"
+    assert len(rig.bus.motions) == 2
 
 
 def test_decoding_takes_time_and_keeps_order() -> None:
