@@ -11,7 +11,7 @@ from sim.ppsmc.controller import SmcController, build_controller
 from sim.ppsmc.options import read_options
 from sim.ppsmc.sensors import Switch
 
-_IDEAL = {"in_poll_ms": 0.0, "line_gap_ms": 0.0, "start_skew_us": 0.0}
+_IDEAL = {"in_poll_ms": 0.0, "line_gap_ms": 0.0, "start_skew_us": 0.0, "reset_s": 0.0}
 """Vectors take no account of these delays."""
 
 

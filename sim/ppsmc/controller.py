@@ -88,7 +88,8 @@ class SmcController:
         if unit.buffers_due:
             unit.buffers_due = False
             for other in self._ports:
-                other.drop_commands()
+                if other is not port:
+                    other.drop_waiting()
         if unit.restart_due is not None:
             restart, unit.restart_due = unit.restart_due, None
             self._restart(restart)

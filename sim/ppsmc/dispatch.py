@@ -14,14 +14,15 @@ from sim.ppsmc.unit import Client, Unit
 def _information(unit: Unit, client: Client, rest: str) -> None:
     """`?`, `?:cmdlist` and `?:<command>` (L3851-L3883)."""
     if rest:
+        known = _known(unit)
         if not rest.startswith(":"):
             raise Refused(f"unknown command '?{rest}'")
         asked = rest[1:].strip().lower()
         if asked == "cmdlist":
-            for name in sorted(COMMANDS):
+            for name in sorted({*known, *PROGRAM_NAMES}):
                 client.say(name)
-        elif asked in COMMANDS:
-            client.say(f"{asked}: {COMMANDS[asked].help}")
+        elif asked in known:
+            client.say(f"{asked}: {known[asked].help}")
         elif asked in PROGRAM_NAMES:
             client.say(f"{asked}: program command")
         else:
@@ -45,6 +46,13 @@ COMMANDS: Commands = by_all_names(
 )
 """All commands but the program's, by all their names."""
 
+_MANUAL: Commands = {name: command for name, command in COMMANDS.items() if not command.later}
+
+
+def _known(unit: Unit) -> Commands:
+    """The commands that the unit's firmware knows."""
+    return COMMANDS if unit.modern else _MANUAL
+
 
 def execute(unit: Unit, client: Client, line: str, whole: bool = True) -> None:
     """Carry out one command line. What is wrong with it is said with echo 1 and 2 only (decisions 4 and 5)."""
@@ -67,7 +75,7 @@ def _execute(unit: Unit, client: Client, line: str) -> None:
     if name.rstrip(";") in PROGRAM_NAMES or line[0].isdigit():
         _store(unit, name.rstrip(";"), line)
         return
-    command = COMMANDS.get(name)
+    command = _known(unit).get(name)
     if command is None:
         raise Refused(f"unknown command '{line}'")
     if unit.blocked and not command.blocked:

@@ -69,13 +69,18 @@ def direction(text: str) -> int:
 
 def rounded(value: Fraction) -> int:
     """To the nearest integer, halves away from zero."""
-    whole = int(abs(value) + Fraction(1, 2))
-    return whole if value >= 0 else -whole
+    return _divided(value.numerator, value.denominator)
+
+
+def _divided(over: int, under: int) -> int:
+    """over / under, under > 0, to the nearest integer, halves away from zero."""
+    whole = (2 * abs(over) + under) // (2 * under)
+    return whole if over >= 0 else -whole
 
 
 def plain(value: Fraction, decimals: int = 12, zeros: bool = False) -> str:
     """As text with at most `decimals` decimals, and trailing zeros removed unless `zeros` (decision 6)."""
-    scaled = rounded(value * 10**decimals)
+    scaled = _divided(value.numerator * 10**decimals, value.denominator)
     digits = str(abs(scaled)).rjust(decimals + 1, "0")
     whole, part = digits[:-decimals], digits[-decimals:]
     if not zeros:

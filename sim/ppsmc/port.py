@@ -87,14 +87,18 @@ class Port:
     def sleep(self, duration_ns: int) -> None:
         self._asleep_ns = self._firmware.time.now_ns() + duration_ns
 
-    def drop_commands(self) -> None:
+    def drop_waiting(self) -> None:
         """The command buffer is cleared (L1409)."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         self._buffer.clear()
-        self._reader.clear()
         self._asleep_ns = 0
+
+    def drop_commands(self) -> None:
+        """Whatever has been heard is gone."""
+        self.drop_waiting()
+        self._reader.clear()
 
     def hang_up(self) -> None:
         """The unit ends the connection."""

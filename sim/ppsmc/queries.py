@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.ppsmc.axis import Axis
-from sim.ppsmc.grammar import Refused, integer, leading_axis, nothing, plain
+from sim.ppsmc.grammar import integer, leading_axis, nothing, plain
 from sim.ppsmc.registry import Command, Commands, When
 from sim.ppsmc.sensors import Switch
 from sim.ppsmc.settings import NAMES
@@ -167,27 +167,18 @@ def _setting(name: str) -> Handler:
     """Later firmware answers `?<parameter><axis>` with a configuration line."""
 
     def run(unit: Unit, client: Client, rest: str) -> None:
-        if not unit.modern:
-            raise Refused(f"unknown command '?{name}{rest}'")
         for axis in _asked(unit, rest):
             client.say(f"{name}{axis.number}:{axis.settings.written(name)}")
 
     return run
 
 
-def _axes(unit: Unit, client: Client, rest: str) -> None:
-    if not unit.modern:
-        raise Refused("unknown command '?a'")
-    nothing(rest)
-    client.say(str(len(unit.machine.axes)))
-
-
 _LATER: Commands = {
-    f"?{name}": Command(_setting(name), When.ALWAYS, f"query of {name}") for name in NAMES if name != "conf"
+    f"?{name}": Command(_setting(name), When.ALWAYS, f"get {name}", later=True) for name in NAMES if name != "conf"
 }
 
 QUERIES: Commands = _LATER | {
-    "?a": Command(_axes, When.ALWAYS, "number of axes"),
+    "?a": Command(_plain(lambda unit: str(len(unit.machine.axes))), When.ALWAYS, "get number of axes", later=True),
     "?c": Command(_plain(lambda unit: str(unit.counter.last)), When.IDLE, "get last counter value", needs="counter"),
     "?ccb": Command(_plain(lambda unit: unit.com.read), When.IDLE, "get control COM input buffer"),
     "?cnt": Command(_counts, When.IDLE, "get counter memory", needs="counter"),

@@ -27,6 +27,8 @@ class Command:
     """Its other names."""
     blocked: bool = False
     """Carried out by a blocked unit too (L1404)."""
+    later: bool = False
+    """Known to later firmware only (decision 0)."""
 
 
 Commands = dict[str, Command]

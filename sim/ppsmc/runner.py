@@ -13,7 +13,7 @@ from sim.ppsmc.program import Line, Memory, Port, Position
 from sim.ppsmc.task import Kind
 
 Say = Callable[[str], None]
-_HOLD_LINES = 10_000
+_HOLD_LINES = 1000
 """Lines without any wait after which a program gives way for a moment: an endless loop must not stop time."""
 
 
@@ -42,6 +42,7 @@ class Runner:
         self._waiting: tuple[Port, int, Callable[[], None]] | None = None
         self._only: int | None = None
         self._say: Say = _silent
+        self._lines_run = 0
         self.line = 0
         """Number of the line that is executed; 0 without a program."""
         self.filter = 1
@@ -101,15 +102,22 @@ class Runner:
     # The program
 
     def _program(self, first: int, repetitions: int) -> Job:
+        self._lines_run = 0
         for _ in range(repetitions):
             yield from self._pass(first)
+
+    def _between_lines(self) -> Job:
+        """What passes before every line but the first (decision 18)."""
+        gap_ns = round(self._machine.options.line_gap_ms * NS_PER_MS)
+        if self._lines_run and (gap_ns or self._lines_run % _HOLD_LINES == 0):
+            yield self._pause(gap_ns or NS_PER_MS)
+        self._lines_run += 1
 
     def _pass(self, index: int) -> Job:
         calls: list[_Return] = []
         lines = self._memory.lines
-        gap_ns = round(self._machine.options.line_gap_ms * NS_PER_MS)
-        held = 0
         while index < len(lines):
+            yield from self._between_lines()
             line = lines[index]
             self.line = self._memory.number(index)
             yield from self._execute(line)
@@ -134,9 +142,6 @@ class Runner:
             if target is None:
                 return
             index = target
-            held += 1
-            if gap_ns or held % _HOLD_LINES == 0:
-                yield self._pause(gap_ns or NS_PER_MS)
 
     def _execute(self, line: Line) -> Job:
         for message in line.messages:

@@ -70,7 +70,7 @@ class Unit:
         self.com = ComPort(options.com_replies)
         self.restart_due: Restart | None = None
         self.buffers_due = False
-        """The command buffers are to be cleared (L1409)."""
+        """The command buffers of the other connections are to be cleared (L1409)."""
         self._calendar_us = 0
         self._movers: dict[Axis, Client] = {}
         self.txdel = options.txdel
