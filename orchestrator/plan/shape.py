@@ -3,11 +3,13 @@
 A shape is scaled so that its velocity limit is 1 unit/s: positions are divided by the axis's velocity limit, and the
 numbers Ruckig sees are seconds at full speed, whatever a count or a millimetre is (its tolerances are absolute).
 Ruckig's Community edition sends intermediate waypoints to a web service: it is never given any here.
+
+Everything works on all axes at once, as rows of arrays: planning 64 axes costs little more than Ruckig's own call.
 """
 
 from collections.abc import Sequence
 from itertools import chain
-from math import inf, sqrt
+from math import inf
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -24,6 +26,7 @@ MAX_DURATION_S = 7000.0
 # Ruckig's margin on its results is 1e-8 (its README); ten times that, relative to the distance, is a defect.
 TOLERANCE = 1e-7
 SECOND_ORDER = inf  # the jerk limit of a trapezoid
+SEGMENTS = 7  # of every shape; a trapezoid has four empty ones
 
 _TIME: Any = Synchronization.Time  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 _NONE: Any = Synchronization.No  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -36,14 +39,6 @@ class PlanError(Exception):
     """A plan that can not be made. The message names the axis and the reason."""
 
 
-class Shape(NamedTuple):
-    """Segments of constant jerk from rest to rest, in normalised units; the form is that of `model.profile`."""
-
-    durations_s: Sequence[float]
-    accelerations: Sequence[float]
-    jerks: Sequence[float]
-
-
 class Bounds(NamedTuple):
     """What shapes may do, one entry an axis: distance in seconds at full speed (> 0), acceleration 1/s, jerk 1/s²."""
 
@@ -52,20 +47,33 @@ class Bounds(NamedTuple):
     jerk: Array
 
 
-def trapezoid(distance: float, ramp_s: float, duration_s: float) -> Shape:
-    """The symmetric trapezoid over `distance` in exactly `duration_s`, with ramps of `ramp_s` (<= duration/2)."""
-    ramp_s = min(ramp_s, duration_s / 2)  # a rounding above it would make the cruise negative
-    cruise_s = duration_s - 2 * ramp_s
-    rate = distance / (ramp_s + cruise_s) / ramp_s
-    return Shape((ramp_s, cruise_s, ramp_s), (rate, 0.0, -rate), (0.0, 0.0, 0.0))
+class Shapes(NamedTuple):
+    """One row an axis, `SEGMENTS` columns: segments of constant jerk, from rest to rest, in normalised units.
+
+    accelerations: at the start of each segment.
+    """
+
+    durations_s: Array
+    accelerations: Array
+    jerks: Array
 
 
-def fastest_trapezoid(distance: float, acceleration: float) -> tuple[float, float]:
-    """(ramp, duration) in s of the fastest trapezoid with a peak velocity of at most 1: closed form."""
-    if distance * acceleration < 1.0:
-        ramp_s = sqrt(distance / acceleration)
-        return ramp_s, 2 * ramp_s
-    return 1.0 / acceleration, distance + 1.0 / acceleration
+def trapezoids(bounds: Bounds, ramp_s: Array, duration_s: Array | float) -> Shapes:
+    """Symmetric trapezoids in exactly `duration_s`, with ramps of `ramp_s` (at most half of it)."""
+    ramp_s = np.minimum(ramp_s, duration_s / 2)  # a rounding above it would make the cruise negative
+    shapes = Shapes(*(np.zeros((len(ramp_s), SEGMENTS)) for _ in range(3)))
+    shapes.durations_s[:, 0] = shapes.durations_s[:, 2] = ramp_s
+    shapes.durations_s[:, 1] = duration_s - 2 * ramp_s
+    shapes.accelerations[:, 0] = bounds.distance / (duration_s - ramp_s) / ramp_s
+    shapes.accelerations[:, 2] = -shapes.accelerations[:, 0]
+    return shapes
+
+
+def fastest_trapezoids(bounds: Bounds) -> tuple[Array, Array]:
+    """(ramps, durations) in s of the fastest trapezoids with a peak velocity of at most 1: closed form."""
+    ramp_s = np.minimum(np.sqrt(bounds.distance / bounds.acceleration), 1.0 / bounds.acceleration)
+    # The peak is acceleration times ramp; the distance at the peak, plus one ramp.
+    return ramp_s, bounds.distance / (bounds.acceleration * ramp_s) + ramp_s
 
 
 def ramp_ranges(bounds: Bounds, duration_s: float) -> tuple[Array, Array]:
@@ -80,9 +88,10 @@ def ramp_ranges(bounds: Bounds, duration_s: float) -> tuple[Array, Array]:
     return shortest, np.maximum(shortest, longest)
 
 
-def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[float, list[Shape]]:
-    """Fastest shapes, all of one duration if `synchronised`: (the longest duration in s, the shapes).
+def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[float, Shapes | None]:
+    """Fastest jerk-limited shapes, all of one duration if `synchronised`: (the longest duration in s, the shapes).
 
+    Rows whose jerk limit is `SECOND_ORDER` only have their say in the duration: their shape here means nothing.
     If the solver fails it is asked again with limits 0.1 % lower (which moves it off a knife's edge), then axis by
     axis with the faster shapes stretched in time, which needs no solver to synchronise. No shapes are returned
     with a duration above `MAX_DURATION_S`. Raises `PlanError` naming the axis.
@@ -93,42 +102,32 @@ def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[flo
             return _ruckig(bounds, synchronised, margin)
         except PlanError as error:
             reasons.append(str(error))
-    duration_s, shapes = 0.0, list[Shape]()
+    rows: list[Shapes] = []
+    durations = np.zeros(len(names))
     for k, name in enumerate(names):
         try:
-            alone_s, found = _ruckig(Bounds(*(part[k : k + 1] for part in bounds)), False, 1.0)
+            durations[k], found = _ruckig(Bounds(*(part[k : k + 1] for part in bounds)), False, 1.0)
         except PlanError as error:
             raise PlanError(f"{name}: no motion found ({error}; all axes together: {'; '.join(reasons)})") from None
-        shapes += found
-        duration_s = max(duration_s, alone_s)
-    if duration_s > MAX_DURATION_S:
-        return duration_s, []
-    if synchronised:
-        shapes = [stretched(shape, duration_s / sum(shape.durations_s)) for shape in shapes]
-    return duration_s, shapes
+        if found is None:
+            return float(durations[k]), None
+        rows.append(found)
+    shapes = Shapes(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
+    longest_s = float(durations.max())
+    return longest_s, stretched(shapes, longest_s / durations[:, None]) if synchronised else shapes
 
 
-def stretched(shape: Shape, factor: float) -> Shape:
-    """The same path in `factor` times the time: velocity, acceleration and jerk fall by its powers."""
-    return Shape(
-        [t * factor for t in shape.durations_s],
-        [a / factor**2 for a in shape.accelerations],
-        [j / factor**3 for j in shape.jerks],
-    )
+def stretched(shapes: Shapes, factor: Array | float) -> Shapes:
+    """The same paths in `factor` times the time: acceleration and jerk fall by its powers."""
+    return Shapes(shapes.durations_s * factor, shapes.accelerations / factor**2, shapes.jerks / factor**3)
 
 
-def check(shapes: Sequence[Shape], bounds: Bounds, names: Sequence[str]) -> None:
+def check(shapes: Shapes, bounds: Bounds, names: Sequence[str]) -> None:
     """What a solver promises is looked at once more: the limits, the end, and no way back on the way there.
 
-    All shapes have the same number of segments. Raises `PlanError`.
+    Raises `PlanError` naming the axis.
     """
-    row = sum(map(len, shapes[0]))
-    flat = np.fromiter(chain.from_iterable(chain.from_iterable(shapes)), np.float64, row * len(shapes))
-    table = flat.reshape(len(shapes), row)
-    segments = len(shapes[0].durations_s)
-    t, j = table[:, :segments], table[:, -segments:]
-    # Ruckig's own form also holds the end, as one more acceleration.
-    a = table[:, segments : 2 * segments]
+    t, a, j = shapes
     a_end = a + t * j
     v = np.cumsum(t * (a + a_end), axis=1) / 2
     p = np.add.reduce(t * (v - t * (a / 2 + t * j / 3)), axis=1)
@@ -144,10 +143,11 @@ def check(shapes: Sequence[Shape], bounds: Bounds, names: Sequence[str]) -> None
     )
     if wrong.any():
         k = int(np.flatnonzero(wrong)[0])
-        raise PlanError(f"{names[k]}: the solver's motion breaks its limits or misses the target: {shapes[k]}")
+        shape = [part[k].tolist() for part in shapes]
+        raise PlanError(f"{names[k]}: the solver's motion breaks its limits or misses the target: {shape}")
 
 
-def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, list[Shape]]:
+def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, Shapes | None]:
     n = len(bounds.distance)
     solver, trajectory, question = workspace(n)
     question.target_position = bounds.distance.tolist()
@@ -163,8 +163,15 @@ def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, l
         raise PlanError(f"Ruckig answers {result}")
     duration_s = cast(float, trajectory.duration)
     if duration_s > MAX_DURATION_S:
-        return duration_s, []
-    return duration_s, [Shape(each.t, each.a, each.j) for each in trajectory.profiles[0]]
+        return duration_s, None
+    profiles = trajectory.profiles[0]
+    cells = n * SEGMENTS
+    t = np.fromiter(chain.from_iterable([each.t for each in profiles]), np.float64, cells).reshape(n, SEGMENTS)
+    j = np.fromiter(chain.from_iterable([each.j for each in profiles]), np.float64, cells).reshape(n, SEGMENTS)
+    # From rest, acceleration is the sum of the jerks before.
+    a = np.zeros((n, SEGMENTS))
+    np.cumsum((t * j)[:, :-1], axis=1, out=a[:, 1:])
+    return duration_s, Shapes(t, a, j)
 
 
 _workspaces: dict[int, tuple[Any, Any, Any]] = {}

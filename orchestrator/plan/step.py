@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -14,12 +15,12 @@ from orchestrator.plan.shape import (
     Array,
     Bounds,
     PlanError,
-    Shape,
+    Shapes,
     check,
-    fastest_trapezoid,
+    fastest_trapezoids,
     ramp_ranges,
     solve,
-    trapezoid,
+    trapezoids,
 )
 
 Sync = Literal["time", "phase", "none"]
@@ -78,20 +79,16 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
     if sync == "phase":
         duration_s, shapes, scales = _line(bounds, scales, names)
     else:
-        duration_s, shapes = solve(bounds, names, sync == "time")
-        if sync == "time" and shapes:
-            _respace_trapezoids(bounds, shapes, duration_s, ramps)
-    if duration_s > MAX_DURATION_S:
+        duration_s, shapes = _each(bounds, names, sync == "time", ramps)
+    if shapes is None:
         slowest = names[int(np.argmax(bounds.distance))]
         raise PlanError(
             f"{slowest}: the move would take {duration_s:.0f} s; at most {MAX_DURATION_S:.0f} s can be planned, "
             "split it into several steps"
         )
-    if sync != "phase":
-        _check_all(shapes, bounds, names)
     profiles = {
-        move.axis: Profile(move.start_counts, move.target_counts, scale, *shape)
-        for move, shape, scale in zip(moving, shapes, scales.tolist(), strict=True)
+        move.axis: Profile(move.start_counts, move.target_counts, scale, t, a, j)
+        for move, scale, t, a, j in zip(moving, scales.tolist(), *(part.tolist() for part in shapes), strict=True)
     }
     return Plan(duration_s, profiles, standing)
 
@@ -106,75 +103,66 @@ def _check_limits(moves: Sequence[AxisMove]) -> None:
 
 def _question(moving: Sequence[AxisMove], speed: float) -> tuple[Bounds, Array]:
     """The normalised question, and the scales in counts per unit that carry the direction's sign."""
-    table = np.array(
-        [
-            (
-                m.target_counts - m.start_counts,
-                m.velocity,
-                m.acceleration,
-                m.jerk if m.order == 3 and m.jerk else np.inf,
-            )
-            for m in moving
-        ],
-        dtype=np.float64,
-    )
-    distance, velocity, acceleration = table[:, 0], table[:, 1] * speed, table[:, 2]
-    jerk = np.nan_to_num(table[:, 3], nan=SECOND_ORDER, posinf=SECOND_ORDER)
+    table = np.array([_FIELDS(move) for move in moving], dtype=np.float64)
+    start, target, velocity, acceleration, jerk, order = table.T
+    distance, velocity = target - start, velocity * speed
+    # No jerk limit (None became NaN), or a controller that can not keep one: a trapezoid.
+    jerk = np.where(np.isnan(jerk) | (order < 3), SECOND_ORDER, jerk)
     bounds = Bounds(np.abs(distance) / velocity, acceleration / velocity, jerk / velocity)
     return bounds, np.copysign(velocity, distance)
 
 
-def _respace_trapezoids(bounds: Bounds, shapes: list[Shape], duration_s: float, ramps: Ramps) -> None:
-    """Give the second-order axes symmetric trapezoids of exactly `duration_s`.
+_FIELDS = attrgetter("start_counts", "target_counts", "velocity", "acceleration", "jerk", "order")
+
+
+def _each(bounds: Bounds, names: Sequence[str], synchronised: bool, ramps: Ramps) -> tuple[float, Shapes | None]:
+    """Every axis on its own limits: one duration for all if `synchronised`, else each its fastest."""
+    second = bounds.jerk == SECOND_ORDER
+    duration_s, shapes = solve(bounds, names, synchronised)
+    if shapes is None:
+        return duration_s, None
+    if second.any():
+        part = Bounds(*(each[second] for each in bounds))
+        chosen = _common_trapezoids(part, duration_s, ramps) if synchronised else _fastest(part)
+        for whole, rows in zip(shapes, chosen, strict=True):
+            whole[second] = rows
+    check(shapes, bounds, names)
+    return duration_s, shapes
+
+
+def _fastest(bounds: Bounds) -> Shapes:
+    ramp_s, duration_s = fastest_trapezoids(bounds)
+    return trapezoids(bounds, ramp_s, duration_s)
+
+
+def _common_trapezoids(bounds: Bounds, duration_s: float, ramps: Ramps) -> Shapes:
+    """Symmetric trapezoids of exactly `duration_s`.
 
     Their common ramp is the longest of the shortest ramps that each needs; an axis whose velocity limit does not
     allow so long a ramp takes its own longest.
     """
-    second = np.flatnonzero(bounds.jerk == SECOND_ORDER)
-    if not len(second):
-        return
-    shortest, longest = ramp_ranges(Bounds(*(part[second] for part in bounds)), duration_s)
-    chosen = np.minimum(shortest.max(), longest) if ramps == "common" else shortest
-    for k, ramp_s, distance in zip(second.tolist(), chosen.tolist(), bounds.distance[second].tolist(), strict=True):
-        shapes[k] = trapezoid(distance, ramp_s, duration_s)
+    shortest, longest = ramp_ranges(bounds, duration_s)
+    return trapezoids(bounds, np.minimum(shortest.max(), longest) if ramps == "common" else shortest, duration_s)
 
 
-def _check_all(shapes: Sequence[Shape], bounds: Bounds, names: Sequence[str]) -> None:
-    """Check Ruckig's shapes and our trapezoids, which differ in their number of segments."""
-    second = bounds.jerk == SECOND_ORDER
-    if second.all() or not second.any():
-        check(shapes, bounds, names)
-        return
-    for kind in (second, ~second):
-        chosen = np.flatnonzero(kind).tolist()
-        part = Bounds(*(each[kind] for each in bounds))
-        check([shapes[k] for k in chosen], part, [names[k] for k in chosen])
-
-
-def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, list[Shape], Array]:
+def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, Shapes | None, Array]:
     """A straight line: one degree of freedom, the fraction of the path, with limits min(limit_i / |d_i|).
 
     Every axis gets this one shape scaled by its distance, so the line is straight by construction.
     """
-    slowest = int(np.argmax(bounds.distance))
     # In units of the fraction: distance 1, velocity 1/d, acceleration a/d, jerk j/d; then normalised by velocity.
-    velocity = 1.0 / bounds.distance[slowest]
-    acceleration = float((bounds.acceleration / bounds.distance).min() / velocity)
-    # One order for all: a trapezoid as soon as one member can execute nothing better.
+    longest = bounds.distance.max()
+    acceleration = (bounds.acceleration / bounds.distance).min() * longest
+    # One order for all: a trapezoid as soon as one member can execute nothing better (its jerk limit is infinite).
     jerk = SECOND_ORDER
     if not (bounds.jerk == SECOND_ORDER).any():
-        jerk = float((bounds.jerk / bounds.distance).min() / velocity)
-    question = Bounds(np.array([1.0 / velocity]), np.array([acceleration]), np.array([jerk]))
-    name = "the line of " + ", ".join(names)
-    if jerk == SECOND_ORDER:
-        ramp_s, duration_s = fastest_trapezoid(float(1.0 / velocity), acceleration)
-        shapes = [trapezoid(float(1.0 / velocity), ramp_s, duration_s)]
-    else:
-        duration_s, shapes = solve(question, [name], False)
-    if not shapes or duration_s > MAX_DURATION_S:
-        return duration_s, [], scales
-    check(shapes, question, [name])
-    return duration_s, shapes * len(names), scales * bounds.distance * velocity
+        jerk = (bounds.jerk / bounds.distance).min() * longest
+    question = Bounds(np.array([longest]), np.array([acceleration]), np.array([jerk]))
+    duration_s, shape = _each(question, ["the line of " + ", ".join(names)], True, "own")
+    if shape is None:
+        return duration_s, None, scales
+    shapes = Shapes(*(np.repeat(part, len(names), axis=0) for part in shape))
+    return duration_s, shapes, scales * bounds.distance / longest
 
 
 class Targets:
