@@ -6,6 +6,7 @@ as after `kill -9`. Ties are run in the order in which they were asked for, so a
 """
 
 import asyncio
+import gc
 import heapq
 from collections import deque
 from collections.abc import Callable, Coroutine
@@ -16,6 +17,10 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.utc import virtual_utc
 
 T = TypeVar("T")
+
+# A run makes and drops millions of small objects, hardly any in cycles: collecting as often as Python does by
+# itself costs a quarter of the time (measured on an hour of the demo fleet).
+GC_ALLOCATIONS = 50_000
 
 
 class VirtualDeadlock(Exception):
@@ -267,7 +272,10 @@ def run_virtual(main: Callable[[VirtualClock], Coroutine[Any, Any, T]]) -> T:
     Raises what `main` raises, the first error of any task that nobody awaited, or `VirtualDeadlock`.
     """
     loop = VirtualLoop()
+    thresholds = gc.get_threshold()
+    gc.set_threshold(GC_ALLOCATIONS, *thresholds[1:])
     try:
         return loop.run_until_complete(main(VirtualClock(loop)))
     finally:
         loop.close()
+        gc.set_threshold(*thresholds)

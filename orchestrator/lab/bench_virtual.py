@@ -46,7 +46,7 @@ async def _run(fleet: Fleet, clock: VirtualClock, hours: float, seed: int) -> tu
 
 async def _do(client: Tutti, name: str, steps: list[dict[str, object]]) -> None:
     job = Job.model_validate({"schema": "tutti.job/1", "name": name, "steps": steps})
-    report = await client.wait(await client.submit(job))
+    report = await client.wait(await client.submit(job), poll_s=60.0)
     if report.state != "done":
         raise RuntimeError(f"the benchmark's job {name!r} is {report.state}: {report.reason}")
 
