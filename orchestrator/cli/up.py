@@ -34,20 +34,11 @@ def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None,
 
     Ctrl-C stops the running job first; a process that dies is started again.
     """
-    from adapters.host import check_controller
+    from orchestrator.lab.checked import load_checked_fleet
     from orchestrator.lab.live import LiveFleet
-    from orchestrator.model.files import FileError, Problem, load_fleet
 
     async def main() -> None:
-        fleet = load_fleet(file)
-        problems: list[Problem] = []
-        for name, config in fleet.controllers.items():
-            try:
-                check_controller(name, config)
-            except ValueError as error:
-                problems.append(Problem(str(file), 1, "", str(error)))
-        if problems:
-            raise FileError(problems)
+        fleet = load_checked_fleet(file)
         folder = state or default_state(fleet.fleet)
         live = LiveFleet(fleet, folder, _say, connect, port, simulated, take_over, truth)
         end = asyncio.Event()

@@ -18,7 +18,7 @@ from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
 from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
 from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
-from orchestrator.model.state import ControllerState
+from orchestrator.model.state import ControllerState, Info
 
 M = TypeVar("M", bound=Model)
 
@@ -176,6 +176,17 @@ class Tutti:
             for controller, reply in zip(controllers, replies, strict=True)
         }
 
+    async def axis_config(self, axis: str) -> dict[str, Any]:
+        """The configuration of `controller.axis` as its adapter holds it. Raises `Refused`."""
+        controller, _, name = axis.partition(".")
+        info = await self._ask(
+            self.keys.info(controller), Request(**self._fields()), Info, ANSWER_S, _absent(controller)
+        )
+        if name not in info.axes:
+            text = f"{controller} has no axis {name!r}; its axes are: {', '.join(info.axes)}"
+            raise Refused(Refusal(code="unknown-axis", text=text, remedy="see `tutti axis ls`"))
+        return info.axes[name]
+
     async def raw(self, controller: str, command: str, i_know: bool) -> str:
         """Send a line in the controller's own language. Raises `Refused`."""
         request = Raw(**self._fields(), command=command, i_know=i_know)
@@ -213,13 +224,8 @@ class Tutti:
         return await self._ask(self.keys.svc(verb), request, reply, timeout_s, absent)
 
     async def _command(self, controller: str, verb: str, request: Request, reply: type[M]) -> M:
-        absent = Refusal(
-            code="absent",
-            text=f"no adapter answers for controller {controller}",
-            remedy="see `tutti status` for those that are there",
-            member=controller,
-        )
-        return _accepted(await self._ask(self.keys.cmd(controller, verb), request, reply, ANSWER_S, absent))
+        key = self.keys.cmd(controller, verb)
+        return _accepted(await self._ask(key, request, reply, ANSWER_S, _absent(controller)))
 
     async def _ask(self, key: str, request: Request, reply: type[M], timeout_s: float, absent: Refusal) -> M:
         try:
@@ -252,3 +258,12 @@ def _accepted(reply: M) -> M:
     if isinstance(reply, Reply) and reply.refused is not None:
         raise Refused(reply.refused)
     return reply
+
+
+def _absent(controller: str) -> Refusal:
+    return Refusal(
+        code="absent",
+        text=f"no adapter answers for controller {controller}",
+        remedy="see `tutti status` for those that are there",
+        member=controller,
+    )

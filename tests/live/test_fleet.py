@@ -239,6 +239,43 @@ def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, 
     assert endpoint in absent.stderr
 
 
+def test_axes_and_outputs_by_hand(shared: RunningFleet) -> None:
+    shared.ready()
+    moved = shared.tutti("axis", "move", "gantry.x=12", "stage.u=1500 um", "--line")
+    assert (moved.returncode, moved.stdout.strip()) == (0, "there"), moved.stderr
+    assert shared.tutti("axis", "move", "gantry.x=-2", "--relative").returncode == 0
+    axes = json.loads(shared.tutti("axis", "ls", "--json").stdout)
+    assert axes["gantry.x"]["position"] == 10.0
+    assert axes["stage.u"]["position"] == 1.5
+    limits = json.loads(shared.tutti("axis", "limits", "gantry.x", "--json").stdout)
+    assert limits["gantry.x"]["velocity"] == 200
+    beyond = shared.tutti("axis", "move", "gantry.x=999")
+    assert beyond.returncode == 1
+    assert "beyond its soft limits -10 to 400 mm" in beyond.stderr
+    assert shared.tutti("axis", "move", "gantry.x").returncode == 2
+    assert shared.tutti("io", "set", "gantry.lamp", "on").returncode == 0
+    assert json.loads(shared.tutti("io", "ls", "--json").stdout)["gantry"]["outputs"] == {"lamp": True}
+    assert shared.tutti("io", "set", "gantry.horn", "on").returncode == 1
+    assert shared.tutti("axis", "disable", "gantry.y").returncode == 0
+    assert json.loads(shared.tutti("axis", "ls", "--json").stdout)["gantry.y"]["enabled"] is False
+
+
+def test_a_fleet_file_is_checked_offline_and_against_the_units(shared: RunningFleet, tmp_path: Path) -> None:
+    shared.works()
+    running = str(shared.folder / "state" / "fleet.json")
+    assert run_tutti("fleet", "check", running).returncode == 0
+    assert shared.tutti("fleet", "check", running, "--live").returncode == 0
+    other = tmp_path / "other.json"
+    other.write_text(Path(running).read_text().replace('"velocity":200.0', '"velocity":201.0', 1))
+    differs = shared.tutti("fleet", "check", str(other), "--live")
+    assert differs.returncode == 1
+    assert "another configuration" in differs.stdout
+    other.write_text(Path(running).read_text().replace('"motors":["Y"]', '"motors":["Q"]'))
+    wrong = run_tutti("fleet", "check", str(other))
+    assert wrong.returncode == 2
+    assert "there is no motor 'Q'" in wrong.stderr
+
+
 def test_positions_can_be_watched_with_zenoh_alone(shared: RunningFleet) -> None:
     command = [sys.executable, str(EXAMPLES / "watch_positions.py"), shared.endpoint, "4"]
     seen = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)

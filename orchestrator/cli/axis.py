@@ -1,0 +1,126 @@
+"""`tutti axis …`: axes by hand. Everything that moves is a job of one step, so it is leased, checked and recorded."""
+
+from typing import Any
+
+import click
+
+from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.fleet import stop
+from orchestrator.cli.one_step import run_step
+
+_AXES = click.argument("axes", nargs=-1, required=True)
+
+
+@click.group(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
+def axis() -> None:
+    """Look at axes, switch and home them, and move them by hand."""
+
+
+@axis.command("ls", epilog="Example: tutti axis ls --json")
+@fleet_options
+@json_option
+def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
+    """List all axes: where they are, and what keeps them from moving."""
+    from rich.table import Table
+
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        states = await tutti.status()
+        rows = {f"{c}.{a}": (state, now) for c, state in states.items() for a, now in state.axes.items()}
+        if as_json:
+            print_json({name: now.to_plain() for name, (_, now) in rows.items()})
+            return
+        table = Table(box=None, header_style="bold")
+        for heading in ("axis", "position", "unit", "motor", "referenced", "moving", "limit"):
+            table.add_column(heading, justify="right" if heading == "position" else "left")
+        for name, (state, now) in rows.items():
+            if state.mode == "offline":
+                table.add_row(name, "-", now.unit, "offline", "", "", "")
+                continue
+            motor, known = "on" if now.enabled else "off", "yes" if now.referenced else "no"
+            moving = "yes" if now.moving else ""
+            table.add_row(name, f"{now.position:.4f}", now.unit, motor, known, moving, now.limit.replace("none", ""))
+        console.print(table)
+
+    with_fleet(connect, fleet, act)
+
+
+@axis.command(epilog="Example: tutti axis limits gantry.x")
+@_AXES
+@fleet_options
+@json_option
+def limits(axes: tuple[str, ...], connect: str, fleet: str | None, as_json: bool) -> None:
+    """Show soft limits and largest velocity, acceleration and jerk of AXES, as their adapters hold them."""
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        found: dict[str, dict[str, Any]] = {}
+        for name in axes:
+            config = await tutti.axis_config(name)
+            found[name] = {"unit": config["unit"], "soft_limits": config["soft_limits"], **config["limits"]}
+        if as_json:
+            print_json(found)
+            return
+        for name, each in found.items():
+            ends = each["soft_limits"]
+            span = f"{ends['min']} to {ends['max']} {each['unit']}" if ends else "none"
+            most = ", ".join(f"{kind} {each[kind]:g}" for kind in ("velocity", "acceleration", "jerk") if each[kind])
+            console.print(f"{name}: soft limits {span}; {most} (in {each['unit']} and s)", highlight=False)
+
+    with_fleet(connect, fleet, act)
+
+
+@axis.command(epilog="Example: tutti axis enable gantry stage.u")
+@_AXES
+@fleet_options
+def enable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+    """Switch the motors of AXES on (axes, groups or controllers)."""
+    run_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled")
+
+
+@axis.command(epilog="Example: tutti axis disable gantry")
+@_AXES
+@fleet_options
+def disable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+    """Switch the motors of AXES off."""
+    run_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled")
+
+
+@axis.command(epilog="Example: tutti axis home          (the whole fleet, in its home_order)")
+@click.argument("axes", nargs=-1)
+@fleet_options
+def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+    """Find the reference of AXES, one after the other; without AXES, of the fleet in its home_order."""
+    run_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed")
+
+
+@axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
+@click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...")
+@click.option("--relative", is_flag=True, help="VALUE is a distance, not a place.")
+@click.option(
+    "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
+)
+@click.option("--line", is_flag=True, help="Along a straight line.")
+@fleet_options
+def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, connect: str, fleet: str | None) -> None:
+    """Move axes together to, or with --relative by, VALUE in the axis's unit or a unit of its own."""
+    wanted: dict[str, str | float] = {}
+    for target in targets:
+        name, equals, value = target.partition("=")
+        if not equals or not value:
+            raise click.BadParameter(f"{target!r}: write AXIS=VALUE, e.g. gantry.x=120", param_hint="TARGETS")
+        wanted[name] = _number_or_text(value)
+    step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
+    run_step(connect, fleet, step, "there")
+
+
+# What is moved by hand is a job like any other: one stop for all.
+axis.add_command(stop)
+
+
+def _number_or_text(value: str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value
