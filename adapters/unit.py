@@ -161,6 +161,11 @@ class Unit:
             old = before.axes[name].limit if before is not None else "none"
             if now.limit not in ("none", old):
                 self._presenter.emit("limit", f"axis {name} is on its {now.limit} limit switch")
+        for name, point in self._config.inputs.items():
+            level = reading.inputs.get(point.number)
+            if before is not None and before.inputs.get(point.number) != level:
+                active = level == (point.active == "high")
+                self._presenter.emit("input", f"input {name} is {'active' if active else 'inactive'}")
         codes = {fault.code for fault in condition.faults}
         for fault in reading.faults:
             if fault.code not in codes:

@@ -150,6 +150,9 @@ class Motion:
                     member,
                 )
             states |= {f"{member}.{axis}": each for axis, each in state.axes.items()}
+        missing = self._view.missing_permit(names)
+        if missing is not None:
+            raise Refuse("permit", missing, "bring it about, then submit again")
         resolved = resolve(step, self._view.fleet, states, infos, self.targets)
         try:
             plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
@@ -231,6 +234,10 @@ class Motion:
             raise Refuse("late", "arming takes longer than the members say, however long the lead", "see the report")
         await on_state("armed", "")
         await self._commit(moving)
+        missing = self._view.missing_permit(moving.plan.profiles)
+        if missing is not None:
+            await self._disarm(moving)
+            raise Refuse("permit", f"{missing} any more", "bring it about, then submit again")
         await self._runs(
             self._journal.decide,
             moving.job_id,
@@ -326,6 +333,9 @@ class Motion:
         silent = [member for member in sorted(waiting_end) if self._view.silent(member)]
         if silent:
             return "failed", f"{silent[0]}: its adapter is silent"
+        missing = self._view.missing_permit(moving.plan.profiles)
+        if missing is not None:
+            return "failed", f"{missing} any more"
         if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS:
             return "failed", f"{min(waiting_start)}: promised, and has not started"
         if waiting_end and now_ns > ends_ns + SETTLE_NS:

@@ -1,7 +1,7 @@
 """What the coordinator knows of the fleet: every controller's last state, its information, its events."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from pydantic import ValidationError
 
@@ -56,6 +56,17 @@ class FleetView:
         """Whether nothing was heard of the controller's adapter for too long."""
         heard_ns = self._heard_ns.get(controller)
         return heard_ns is None or self._clock.now_ns() - heard_ns > SILENT_NS
+
+    def missing_permit(self, axes: Iterable[str]) -> str | None:
+        """The first permit of `axes` that does not hold now, in words; an input that can not be heard does not."""
+        for name, permit in self.fleet.permits_of(axes).items():
+            controller, _, point = permit.input.partition(".")
+            state = self._states.get(controller)
+            known = state is not None and not self.silent(controller) and state.mode != "offline"
+            if not known or state is None or state.inputs.get(point) != permit.value:
+                wanted = "active" if permit.value else "inactive"
+                return f"permit {name}: input {permit.input} is not {wanted}" + ("" if known else " (not heard)")
+        return None
 
     async def fresh(self, controller: str) -> ControllerState:
         """The state as it is now, asked for. Raises `BusError`."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable
 from fractions import Fraction
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -242,6 +243,14 @@ class Wire(Model):
     to: list[str] = Field(min_length=1, description="controller.input, one or more")
 
 
+class Permit(Model):
+    """A condition that must hold for axes to be armed, and whose loss stops the step that they are in."""
+
+    input: str = Field(description="controller.input")
+    value: bool = Field(default=True, description="true: the input must be active")
+    axes: list[str] | None = Field(default=None, description="Axes, groups or controllers; none: the whole fleet.")
+
+
 class Fleet(Model):
     """All controllers that share one name space on the bus."""
 
@@ -249,6 +258,7 @@ class Fleet(Model):
     fleet: Id
     controllers: dict[Id, Controller] = Field(min_length=1)
     wiring: list[Wire] = Field(default=[])
+    permits: dict[Id, Permit] = Field(default={}, description='Conditions with a name, such as "door-closed".')
     groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
     home_order: list[str] = Field(default=[], description="Groups, controllers or axes, homed one after another.")
 
@@ -274,6 +284,10 @@ class Fleet(Model):
                 self.axis(member)
         for entry in self.home_order:
             self.expand(entry)
+        for permit in self.permits.values():
+            self._point(permit.input, "inputs")
+            for name in permit.axes or []:
+                self.expand(name)
         for wire in self.wiring:
             self._point(wire.from_, "outputs")
             for end in wire.to:
@@ -285,6 +299,15 @@ class Fleet(Model):
         if controller not in self.controllers or point not in getattr(self.controllers[controller], side):
             known = [f"{c}.{p}" for c, each in self.controllers.items() for p in getattr(each, side)]
             raise UnknownName(name, f"{name} is none of the fleet's {side}; known: {', '.join(known) or 'none'}")
+
+    def permits_of(self, axes: Iterable[str]) -> dict[str, Permit]:
+        """The permits that bind any of `axes`, by name."""
+        wanted = set(axes)
+        return {
+            name: permit
+            for name, permit in self.permits.items()
+            if permit.axes is None or wanted & {axis for each in permit.axes for axis in self.expand(each)}
+        }
 
     def axis(self, name: str) -> Axis:
         """The axis `controller.axis`. `UnknownName` lists the known ones."""

@@ -16,6 +16,7 @@ EventKind = Literal[
     "fault",
     "cleared",
     "limit",
+    "input",
     "refusal",
     "started",
     "done",

@@ -8,6 +8,7 @@ from cluster.worlds import PREPARE, demo_fleet, demo_job, job, run_fleet
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Permit
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, Lease
 
@@ -278,3 +279,34 @@ def test_the_trace_shows_the_fired_line_in_its_place() -> None:
         assert [at_ns for at_ns, _, _ in entries] == sorted(at_ns for at_ns, _, _ in entries)
 
     run_fleet(main)
+
+
+def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
+    closed = Permit(input="gantry.door", value=False, axes=["table"])
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        # The door's input is active when it is low: open is low.
+        fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
+        await fleet.until(lambda states: states["gantry"].inputs["door"])
+        refused = (await outcome(fleet, job("[{do: move, to: {stage.u: 10}}]"))).steps[-1].refused
+        assert refused is not None
+        assert (refused.code, refused.text) == ("permit", "permit door-closed: input gantry.door is not inactive")
+        assert (await outcome(fleet, job("[{do: move, to: {stage.focus: 100}}]"))).state == "done"
+        fleet.within("gantry", lambda gantry: gantry.set_input(1, True))
+        await fleet.until(lambda states: not states["gantry"].inputs["door"])
+        moving = await client.submit(job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]"))
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await asyncio.sleep(1.0)
+        lost_ns = fleet.clock.now_ns()
+        fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
+        report = await client.wait(moving)
+        assert report.state == "failed"
+        assert "permit door-closed" in report.reason
+        await asyncio.sleep(1.0)
+        ends_ns = [motion.end_ns for each in fleet.controllers.values() for motion in each.motions[-1:]]
+        # One poll of the gantry (100 ms), its way to the coordinator and the stops, then ramps of 0.2 s at the most.
+        assert all(end_ns is not None and end_ns - lost_ns < 500_000_000 for end_ns in ends_ns)
+
+    run_fleet(main, demo_fleet().model_copy(update={"permits": {"door-closed": closed}}))
