@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 from orchestrator.clock.base import NS_PER_S, Clock, Timer
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
+from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.ppsmc.axis import Axis
-from sim.ppsmc.devicetime import DeviceTime
 from sim.ppsmc.dispatch import execute
 from sim.ppsmc.line import CommandLine
 from sim.ppsmc.machine import Machine

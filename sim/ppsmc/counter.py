@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_S, Timer
-from sim.ppsmc.devicetime import DeviceTime
+from sim.core.devicetime import DeviceTime
 
 
 @dataclass(slots=True)

@@ -7,8 +7,8 @@ from enum import Enum, auto
 
 from orchestrator.clock.base import NS_PER_S, Timer
 from sim.core.controller import Motion
+from sim.core.devicetime import DeviceTime
 from sim.ppsmc.axis import Axis
-from sim.ppsmc.devicetime import DeviceTime
 from sim.ppsmc.path import Path, Profile, decelerated, respin
 from sim.ppsmc.sensors import Until, limit_of
 

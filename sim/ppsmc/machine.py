@@ -6,8 +6,8 @@ from fractions import Fraction
 
 from orchestrator.clock.base import NS_PER_US
 from sim.core.controller import LimitSwitch
+from sim.core.devicetime import DeviceTime
 from sim.ppsmc.axis import MOST_STEPS, NO_ERROR, Axis
-from sim.ppsmc.devicetime import DeviceTime
 from sim.ppsmc.drive import Drive
 from sim.ppsmc.encoder import Encoder
 from sim.ppsmc.grammar import Refused

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-_TINY = 1e-9
+from sim.core.ramps import Segment, first_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,32 +19,6 @@ class Profile:
     def low(self) -> float:
         """Where ramps begin and end: a slew speed below the start-stop speed needs no ramp."""
         return min(self.start, self.slew)
-
-
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """Constant acceleration `a` from time `t` on, starting at displacement `x` with velocity `v`."""
-
-    t: float
-    x: float
-    v: float
-    a: float
-
-    def x_at(self, t: float) -> float:
-        dt = t - self.t
-        return self.x + (self.v + 0.5 * self.a * dt) * dt
-
-    def points(self, sign: int) -> bool:
-        """Whether the motion in it has direction `sign`."""
-        return sign * self.v > 0 or (self.v == 0 and sign * self.a > 0)
-
-    def reach(self, distance: float) -> float:
-        """Time into the segment after which `distance` is covered."""
-        if self.a == 0.0:
-            return distance / self.v
-        root = math.sqrt(max(0.0, self.v * self.v + 2.0 * self.a * distance))
-        # The form that does not cancel: 2d / (v ± root), with the root's sign that of the motion.
-        return 2.0 * distance / (self.v + math.copysign(root, self.v or self.a))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,18 +52,7 @@ class Path:
 
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
         """First time >= `after` at or beyond `bound` in direction `sign` while moving in that direction."""
-        ends = [segment.t for segment in self.segments[1:]] + [self.duration]
-        for segment, until in zip(self.segments, ends, strict=True):
-            if until <= after or not segment.points(sign):
-                continue
-            begin = max(after, segment.t)
-            if sign * (segment.x_at(begin) - bound) >= -_TINY:
-                return begin
-            if math.isinf(until):
-                return segment.t + segment.reach(bound - segment.x)
-            if sign * (segment.x_at(until) - bound) >= -_TINY:
-                return min(until, segment.t + segment.reach(bound - segment.x))
-        return None
+        return first_at(self.segments, self.duration, bound, sign, after)
 
 
 class _Builder:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from orchestrator.clock.base import Timer
 from sim.core.controller import Send
-from sim.ppsmc.devicetime import DeviceTime
+from sim.core.devicetime import DeviceTime
 from sim.ppsmc.line import CommandLine, LineReader
 
 

@@ -7,8 +7,8 @@ prebuffer, sends its completion character, and then starts what has migrated (L1
 from collections.abc import Sequence
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from sim.core.devicetime import DeviceTime
 from sim.shrc203.axis import Axis, Phase
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.drive import Cause, Drive
 from sim.shrc203.entries import Arc, Entry, WaitInput, WaitTime
 from sim.shrc203.inputs import Inputs

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, Timer
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
+from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
 from sim.shrc203.axis import Axis, Phase
 from sim.shrc203.commands import answer
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.inputs import bit
 from sim.shrc203.line import CommandLine, LineReader
 from sim.shrc203.options import Options
@@ -178,7 +178,7 @@ class Shrc203Controller:
         self._silence()
         self.unit.power_down()
         self.unit.power_up()
-        self._boot = self._time.call_at(self._time.now_ns() + round(self._options.reset_s * NS_PER_S), self._booted)
+        self._boot = self._time.call_after(round(self._options.reset_s * NS_PER_S), self._booted)
 
     def _booted(self) -> None:
         self._boot = None

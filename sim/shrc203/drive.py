@@ -7,8 +7,8 @@ from enum import Enum, auto
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
 from sim.core.controller import Motion
+from sim.core.devicetime import DeviceTime
 from sim.shrc203.axis import Axis, Phase
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.grammar import MAX_PULSES
 from sim.shrc203.options import Options
 from sim.shrc203.path import Path, Triple, decelerated, endless

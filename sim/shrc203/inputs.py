@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_MS, Timer
-from sim.shrc203.devicetime import DeviceTime
+from sim.core.devicetime import DeviceTime
 
 LINES = 6
 """IN1-IN6 and OUT1-OUT6 (L5270-L5357)."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-_TINY = 1e-9
+from sim.core.ramps import TINY, Segment, first_at, first_toward
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +57,6 @@ class Path(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
-    """Constant acceleration `a` from time `t` on, starting at displacement `x` with velocity `v`."""
-
-    t: float
-    x: float
-    v: float
-    a: float
-
-
-@dataclass(frozen=True, slots=True)
 class RampPath:
     """Segments of constant acceleration; the velocity does not change its sign inside a segment."""
 
@@ -85,45 +75,10 @@ class RampPath:
         return segment.x + (segment.v + 0.5 * segment.a * dt) * dt, segment.v + segment.a * dt
 
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
-        for segment, until in self._spans(after):
-            if not _points(segment, sign):
-                continue
-            begin = max(after, segment.t)
-            if sign * (self._x(segment, begin) - bound) >= -_TINY:
-                return begin
-            if math.isinf(until):
-                return segment.t + (bound - segment.x) / segment.v
-            if sign * (self._x(segment, until) - bound) >= -_TINY:
-                return min(until, segment.t + _reach(segment, bound - segment.x))
-        return None
+        return first_at(self.segments, self.duration, bound, sign, after)
 
     def first_toward(self, sign: int, after: float) -> float | None:
-        for segment, _ in self._spans(after):
-            if _points(segment, sign):
-                return max(after, segment.t)
-        return None
-
-    def _spans(self, after: float) -> list[tuple[Segment, float]]:
-        ends = [segment.t for segment in self.segments[1:]] + [self.duration]
-        return [(segment, end) for segment, end in zip(self.segments, ends, strict=True) if end > after]
-
-    @staticmethod
-    def _x(segment: Segment, t: float) -> float:
-        dt = t - segment.t
-        return segment.x + (segment.v + 0.5 * segment.a * dt) * dt
-
-
-def _points(segment: Segment, sign: int) -> bool:
-    return sign * segment.v > 0 or (segment.v == 0 and sign * segment.a > 0)
-
-
-def _reach(segment: Segment, distance: float) -> float:
-    """Time within the segment after which `distance` is covered."""
-    if segment.a == 0.0:
-        return distance / segment.v
-    root = math.sqrt(max(0.0, segment.v * segment.v + 2.0 * segment.a * distance))
-    # The form that does not cancel: 2d / (v ± root), with the root's sign that of the motion.
-    return 2.0 * distance / (segment.v + math.copysign(root, segment.v or segment.a))
+        return first_toward(self.segments, self.duration, sign, after)
 
 
 class PathBuilder:
@@ -172,7 +127,7 @@ class PathBuilder:
         return RampPath(
             tuple(self._segments) or (Segment(0.0, self.x, 0.0, 0.0),),
             self.t,
-            math.trunc(self.x + math.copysign(_TINY, self.x)) if end is None else end,
+            math.trunc(self.x + math.copysign(TINY, self.x)) if end is None else end,
         )
 
 

@@ -5,9 +5,9 @@ from enum import IntEnum
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
+from sim.core.devicetime import DeviceTime
 from sim.shrc203.axis import Axis
 from sim.shrc203.continuous import CONTINUOUS_LINES, Leg, continuous
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.drive import Cause, Drive, Kind, Run
 from sim.shrc203.entries import Arc, Line
 from sim.shrc203.geometry import Collinear

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from orchestrator.clock.base import Timer
+from sim.core.devicetime import DeviceTime
 from sim.shrc203.axis import Axis
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.drive import Drive, Run
 
 PULSE, TIMER, SCALE_PLUS, SCALE_MINUS = range(4)

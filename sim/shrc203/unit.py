@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from enum import Enum, auto
 from fractions import Fraction
 
+from sim.core.devicetime import DeviceTime
 from sim.shrc203.axis import Axis
 from sim.shrc203.chain import Chain
-from sim.shrc203.devicetime import DeviceTime
 from sim.shrc203.drive import Cause, Drive
 from sim.shrc203.grammar import GROUPS, Refused
 from sim.shrc203.inputs import Inputs, Outputs

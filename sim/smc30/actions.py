@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from sim.smc30.devicetime import Tempo
 from sim.smc30.expressions import Values
 from sim.smc30.memory import PermanentMemory
 from sim.smc30.modules import Modules
@@ -33,6 +32,7 @@ from sim.smc30.statements import (
     SetCurrent,
     SetRate,
 )
+from sim.smc30.tempo import Tempo
 
 _NS_PER_TICK = 10_000_000
 _LAST_DELAY = 32_000

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S, Clock, Timer
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
+from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
-from sim.smc30.devicetime import DeviceTime
 from sim.smc30.framing import Received, StringReader, checksum, odd_parity
 from sim.smc30.inputs import ANALOGUE_INPUTS, USER_INPUTS
 from sim.smc30.options import Options, UnitOptions

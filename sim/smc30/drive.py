@@ -7,7 +7,7 @@ from enum import Enum, auto
 
 from orchestrator.clock.base import NS_PER_S, Timer
 from sim.core.controller import LimitSwitch, Motion
-from sim.smc30.devicetime import DeviceTime
+from sim.core.devicetime import DeviceTime
 from sim.smc30.profile import Profile, stop_ramp
 
 MOST = 8_388_607
@@ -135,7 +135,7 @@ class Drive:
             self.overflow = True
             ended(End.OVERFLOW)
         else:
-            motion = Motion(self._axis, self._time.true_ns(), float(self._counter))
+            motion = Motion(self._axis, self._time.clock.now_ns(), float(self._counter))
             self._motions.append(motion)
             now_ns = self._time.now_ns()
             self._run = _Run(sign, again(steps), again, start_rate, slope, ended, motion, now_ns)
@@ -170,7 +170,7 @@ class Drive:
             run.timer.cancel()
         self._counter += run.sign * steps
         self._place += run.sign * steps
-        run.motion.end_ns = self._time.true_ns()
+        run.motion.end_ns = self._time.clock.now_ns()
         run.motion.end_counts = float(self._counter)
         self._run = None
 

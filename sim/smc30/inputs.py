@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from orchestrator.clock.base import Timer
-from sim.smc30.devicetime import DeviceTime
+from sim.core.devicetime import DeviceTime
 from sim.smc30.statements import Contact, Scaled, StartCondition, Threshold
 
 USER_INPUTS = 3

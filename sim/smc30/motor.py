@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.smc30.devicetime import Tempo
 from sim.smc30.drive import Drive, End
 from sim.smc30.expressions import Values
 from sim.smc30.inputs import Inputs
@@ -22,6 +21,7 @@ from sim.smc30.statements import (
     StartCondition,
     StopCondition,
 )
+from sim.smc30.tempo import Tempo
 
 Done = Callable[[], None]
 Activity = Callable[[Done], None]

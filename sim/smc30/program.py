@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sim.core.devicetime import DeviceTime
 from sim.smc30.actions import Actions
-from sim.smc30.devicetime import DeviceTime, Tempo
 from sim.smc30.expressions import Values
 from sim.smc30.motor import Activity
 from sim.smc30.operands import Predefined
@@ -26,6 +26,7 @@ from sim.smc30.statements import (
     Until,
     WaitFor,
 )
+from sim.smc30.tempo import Tempo
 
 _DEPTH = 32  # nested subroutines (L2815)
 _BURST = 256

@@ -6,8 +6,8 @@ from enum import Enum, auto
 from typing import Literal
 
 from sim.core.controller import Motion
+from sim.core.devicetime import DeviceTime
 from sim.smc30.actions import Actions
-from sim.smc30.devicetime import DeviceTime, Tempo
 from sim.smc30.drive import Drive
 from sim.smc30.expressions import Values
 from sim.smc30.framing import Received
@@ -35,6 +35,7 @@ from sim.smc30.statements import (
     SetCurrent,
     Statement,
 )
+from sim.smc30.tempo import Tempo
 
 _NS_PER_MS = 1_000_000
 _SYSTEM = re.compile(r"(PE|PO|PX|TP|V1|V2|VS|VT|VR|VA|[EFKMQXZ])([+-]?\d*)")

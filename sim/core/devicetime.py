@@ -1,4 +1,4 @@
-"""The unit's own time: nanoseconds of its crystal, and calls at an instant of it."""
+"""A unit's own time: nanoseconds of its crystal, and calls at an instant of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,12 @@ _RATE_SPAN_NS = 100_000_000
 
 
 class _FarTimer:
-    """A call too far ahead for a wandering crystal to be followed now: goes there in strides."""
+    """A call more than a stride ahead: goes there in strides.
+
+    A wandering crystal is computed second by second up to the instant asked for. Motions and programs set calls that
+    may be years ahead and are mostly cancelled long before; asking for their true instants now would compute, and
+    keep, all those seconds.
+    """
 
     def __init__(self, time: "DeviceTime", at_ns: int, callback: Callable[[], None]) -> None:
         self._time = time
@@ -32,26 +37,30 @@ class _FarTimer:
 
 @dataclass(frozen=True, slots=True)
 class DeviceTime:
-    """Device time of one unit. All instants here are device nanoseconds unless they are called true."""
+    """Device time of one unit, in nanoseconds of its crystal. Every instant here is of that time unless called true.
+
+    clock: true time. oscillator: the unit's crystal against it.
+    """
 
     clock: Clock
     oscillator: Oscillator
 
     def now_ns(self) -> int:
+        """The present device instant."""
         return self.oscillator.device_ns(self.clock.now_ns())
 
     def true_ns(self, at_ns: int) -> int:
-        """The true instant of device instant `at_ns`."""
+        """The true instant of device instant `at_ns`, which should not be far ahead."""
         return self.oscillator.true_ns(at_ns)
 
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> Timer:
-        """Call back at device instant `at_ns`."""
+        """Call back at device instant `at_ns`, however far ahead."""
         if at_ns - self.now_ns() > _STRIDE_NS:
             return _FarTimer(self, at_ns, callback)
         return self.clock.call_at_ns(self.true_ns(at_ns), callback)
 
     def call_after(self, delay_ns: int, callback: Callable[[], None]) -> Timer:
-        """Call back `delay_ns` of device time from now."""
+        """Call back `delay_ns` of device time from now, however long that is."""
         return self.call_at(self.now_ns() + delay_ns, callback)
 
     def rate(self) -> float:

@@ -1,0 +1,66 @@
+"""Motion of one axis at piecewise constant acceleration: steps, steps/s and steps/s² over seconds from the start."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+TINY = 1e-9
+"""Displacements this close are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Constant acceleration `a` from time `t` on, starting at displacement `x` with velocity `v`."""
+
+    t: float
+    x: float
+    v: float
+    a: float
+
+    def x_at(self, t: float) -> float:
+        """Displacement at time `t`."""
+        dt = t - self.t
+        return self.x + (self.v + 0.5 * self.a * dt) * dt
+
+    def points(self, sign: int) -> bool:
+        """Whether the motion in it has direction `sign`."""
+        return sign * self.v > 0 or (self.v == 0 and sign * self.a > 0)
+
+    def reach(self, distance: float) -> float:
+        """Time into the segment after which `distance` is covered."""
+        if self.a == 0.0:
+            return distance / self.v
+        root = math.sqrt(max(0.0, self.v * self.v + 2.0 * self.a * distance))
+        # The form that does not cancel: 2d / (v ± root), with the root's sign that of the motion.
+        return 2.0 * distance / (self.v + math.copysign(root, self.v or self.a))
+
+
+def first_at(segments: Sequence[Segment], duration: float, bound: float, sign: int, after: float) -> float | None:
+    """First time >= `after` at or beyond `bound` in direction `sign` while moving in that direction.
+
+    No segment reverses; the last one ends at `duration`.
+    """
+    for segment, until in _pointing(segments, duration, sign, after):
+        begin = max(after, segment.t)
+        if sign * (segment.x_at(begin) - bound) >= -TINY:
+            return begin
+        if math.isinf(until):
+            return segment.t + segment.reach(bound - segment.x)
+        if sign * (segment.x_at(until) - bound) >= -TINY:
+            return min(until, segment.t + segment.reach(bound - segment.x))
+    return None
+
+
+def first_toward(segments: Sequence[Segment], duration: float, sign: int, after: float) -> float | None:
+    """First time >= `after` with motion in direction `sign`."""
+    for segment, _ in _pointing(segments, duration, sign, after):
+        return max(after, segment.t)
+    return None
+
+
+def _pointing(segments: Sequence[Segment], duration: float, sign: int, after: float) -> Iterator[tuple[Segment, float]]:
+    """The segments in direction `sign` that are not over at `after`, each with its end."""
+    ends = [segment.t for segment in segments[1:]] + [duration]
+    for segment, until in zip(segments, ends, strict=True):
+        if until > after and segment.points(sign):
+            yield segment, until
