@@ -103,6 +103,7 @@ class AdapterHost:
             bus=around.bus,
             keys=around.keys,
             clock=around.clock,
+            open_link=open_link,
             trace=ring,
             log=log,
             instance=around.instance,

@@ -199,6 +199,14 @@ class Member:
         await self._driver.disarm()
         self._emit("disarmed", reason, ticket)
 
+    async def fail(self, reason: str) -> None:
+        """Something of the controller failed in motion: what still moves of it stops, and the coordinator hears why."""
+        self._interruptions += 1
+        ticket, self.ticket = self.ticket, None
+        if ticket is not None:
+            self._emit("failed", reason, ticket)
+            await self._driver.stop(False)
+
     def lost(self, reason: str) -> None:
         """The controller can not be reached any more, or has forgotten the step."""
         self._interruptions += 1

@@ -9,6 +9,7 @@ from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import Clock
 from orchestrator.clock.fleet import FleetScale
+from orchestrator.link.base import OpenLink
 from orchestrator.link.trace import TraceRing
 from orchestrator.model.fleet import Controller
 
@@ -24,6 +25,7 @@ class Seat:
     bus: Bus
     keys: Keys
     clock: Clock
+    open_link: OpenLink
     trace: TraceRing
     log: Log
     instance: str

@@ -14,7 +14,7 @@ from adapters.condition import Condition
 from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.fence import Fence
 from adapters.guard import check_profiles
-from adapters.member import Member, Ticket
+from adapters.member import Member, Phase, Ticket
 from adapters.presenter import Presenter
 from adapters.seat import Seat
 from adapters.store import Store
@@ -27,6 +27,7 @@ from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, 
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
+STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
 
 
 class Unit:
@@ -51,6 +52,7 @@ class Unit:
         )
         self._presenter = Presenter(seat, self._fence, self._condition, lambda: self._member.ticket)
         self._commands = Commands(seat, self._fence, self._member, self._condition, self._presenter, self)
+        self._stop_owed = False
         self._poke = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
@@ -93,6 +95,8 @@ class Unit:
         while True:
             heartbeat = self._spawn(self._beat_offline())
             try:
+                if self._stop_owed:
+                    await self._pay_owed_stop()
                 self._condition.identity = await self._driver.connect()
                 await self._driver.configure()
                 pause_ns = BACKOFF_FIRST_NS
@@ -112,6 +116,20 @@ class Unit:
             await sleep_ns(self._clock, pause_ns)
             heartbeat.cancel()
             pause_ns = min(2 * pause_ns, BACKOFF_LONGEST_NS)
+
+    async def _pay_owed_stop(self) -> None:
+        """The link broke while a step was loaded, or before a stop could be sent: the controller may be moving.
+
+        It is stopped before anything else is asked of it, as a guardian would.
+        """
+        link = await self._seat.open_link()
+        try:
+            link.write(self._seat.make.stop_bytes(self._config))
+            await sleep_ns(self._clock, STOP_LEAVES_NS)
+        finally:
+            await link.close()
+        self._stop_owed = False
+        self._presenter.emit("stopped", "stopped as soon as the link was back")
 
     async def _serve(self) -> None:
         """Poll and publish until the link breaks or the controller stops making sense."""
@@ -173,6 +191,25 @@ class Unit:
         if condition.faults and not reading.faults:
             self._presenter.emit("cleared", "no fault any more")
         condition.faults = list(reading.faults)
+        trouble = self._trouble_in_motion(before, reading)
+        if trouble is not None:
+            self._spawn(self._member.fail(trouble))
+
+    def _trouble_in_motion(self, before: Reading | None, reading: Reading) -> str | None:
+        """What this poll shows that a moving step can not go on with; one axis in trouble is trouble for all."""
+        ticket = self._member.ticket
+        if ticket is None or ticket.phase is not Phase.MOVING or before is None:
+            return None
+        if reading.faults:
+            return reading.faults[0].text
+        for name in ticket.axes:
+            now, old = reading.axes[name], before.axes[name]
+            # A switch that was active from the start is being left.
+            if now.limit not in ("none", old.limit):
+                return f"axis {name} has run into its {now.limit} limit switch"
+            if old.enabled and not now.enabled:
+                return f"the motor of axis {name} has switched off"
+        return None
 
     def _offline(self, fault: Fault) -> None:
         condition = self._condition
@@ -180,6 +217,7 @@ class Unit:
         condition.reading = None
         condition.faults = [fault]
         condition.homing.clear()
+        self._stop_owed = self._stop_owed or self._member.ticket is not None
         self._member.lost(f"the link is lost: {fault.text}")
         if was_online:
             self._presenter.emit("offline", fault.text, fault=fault)
@@ -192,6 +230,9 @@ class Unit:
         self._condition.stopping_until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns
         try:
             await self._member.stop(abort, reason)
+        except (LinkClosed, LinkRefused, DriverFault):
+            self._stop_owed = True
+            raise
         finally:
             self._poke.set()
 

@@ -51,9 +51,9 @@ FAULTS = (
     "bus-cut",
 )
 
-# The longest that anything may go on after a fault: a silent adapter is noticed after 0.7 s (a hung one's guardian
-# is quicker), then requests may have to run into their time limit once, then the axis ramps down.
-DETECTION_NS = 700 * NS_PER_MS + 2500 * NS_PER_MS
+# The longest that anything goes on after a fault, before its ramp: a silent adapter is noticed after 0.7 s (a hung
+# one's guardian is quicker), then the others are told.
+DETECTION_NS = 1000 * NS_PER_MS
 STAND_STILL_NS = 8 * NS_PER_S
 
 

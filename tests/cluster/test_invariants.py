@@ -55,9 +55,7 @@ def test_a_member_that_is_not_stopped_is_noticed(monkeypatch: pytest.MonkeyPatch
         return None
 
     monkeypatch.setattr(Motion, "stop", does_nothing)
-    slow = MOVE.model_copy(update={"steps": [MOVE.steps[0].model_copy(update={"speed": 0.1})]})
-    found = [run_seed(demo_fleet(), PREPARE, slow, seed, "motion", "limit").violations for seed in range(4)]
-    assert any("invariant 3" in v for violations in found for v in violations)
+    assert any("invariant 3" in v for story in stories("motion", "limit", 2) for v in story.violations)
 
 
 def test_evidence_that_claims_too_much_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,9 @@ def job(steps: str, **fields: str) -> Job:
 
 
 PREPARE = job("[{do: enable, axes: [gantry, stage]}, {do: home}]")
-MOVE = job("[{do: move, to: {gantry.x: 300, gantry.y: 50, stage.u: 12, stage.focus: 2000}, speed: 0.5}]")
+MOVE = job(
+    "[{do: move, to: {gantry.x: 300, gantry.y: 50, stage.u: 12, stage.focus: 2000}, speed: 0.15}]"
+)  # some ten seconds: nobody is there by chance
 
 
 def run_fleet(main: Callable[[VirtualFleet], Coroutine[Any, Any, T]], fleet: Fleet | None = None, seed: int = 1) -> T:
