@@ -273,9 +273,3 @@ def _rest(text: str) -> str:
 
 def _lines(text: str) -> list[str]:
     return [line.strip() for line in re.split(r"[\r\n]+", text.strip())]
-
-
-if __name__ == "__main__":
-    from sim.core.__main__ import main
-
-    raise SystemExit(main())
