@@ -125,10 +125,6 @@ class Device:
             raise LinkClosed("the controller is not connected")
         return self._format
 
-    def all_letters(self) -> str:
-        """The controller's axes, as it writes them."""
-        return AXIS_LETTERS[: self.format.axes]
-
     async def record(self) -> Record:
         """Everything that changes, in one exchange; feeds the clock."""
         record, _ = await self._read_record()

@@ -24,15 +24,6 @@ def _chunk(text: str | None, what: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Presence:
-    """What a presence key says: who is there, and which start of it."""
-
-    role: str
-    id: str
-    instance: str
-
-
-@dataclass(frozen=True, slots=True)
 class Keys:
     """Builds and reads the keys of one fleet. Every method raises `ValueError` for an id that cannot be one."""
 
@@ -81,10 +72,6 @@ class Keys:
         """All leases, of controllers and of axes."""
         return f"{self.prefix}/lease/**"
 
-    def leases_of(self, ctl: str) -> str:
-        """All leases on a controller: its own and those of its axes."""
-        return f"{self.lease(ctl)}/**"
-
     # The coordinator
 
     def job_state(self, job: str | None = None) -> str:
@@ -131,31 +118,12 @@ class Keys:
 
     # Reading back
 
-    def ctl_of(self, key: str) -> str:
-        """The controller that a `ctl/...` or `lease/...` key is about."""
-        chunks = self._chunks(key, ("ctl", "lease"), 2)
-        return check_id(chunks[1], "controller")
-
-    def axis_of(self, key: str) -> str | None:
-        """The axis that a `lease/...` key is about; None where it is the whole controller."""
-        chunks = self._chunks(key, ("lease",), 2)
-        return check_id(chunks[2], "axis") if len(chunks) > 2 else None
-
     def verb_of(self, key: str) -> str:
         """The verb of a `ctl/{id}/cmd/{verb}` or `svc/{verb}` key."""
         chunks = self._chunks(key, ("ctl", "svc"), 2)
         if chunks[0] == "ctl" and (len(chunks) != 4 or chunks[2] != "cmd"):
             raise ValueError(f"{key!r} is no command")
         return check_id(chunks[-1], "verb")
-
-    def job_of(self, key: str) -> str:
-        """The job that a `job/...` key is about."""
-        return check_id(self._chunks(key, ("job",), 3)[1], "job")
-
-    def presence_of(self, key: str) -> Presence:
-        """Who a `live/...` key says is there."""
-        _, role, id, instance = self._chunks(key, ("live",), 4)
-        return Presence(check_id(role, "role"), check_id(id, "id"), check_id(instance, "instance"))
 
     def _chunks(self, key: str, kinds: tuple[str, ...], at_least: int) -> list[str]:
         head = f"{self.prefix}/"

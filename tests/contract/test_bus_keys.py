@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.bus.expression import check_expression, check_key, intersects
-from orchestrator.bus.keys import Keys, Presence
+from orchestrator.bus.keys import Keys
 
 KEYS = Keys("lab-1")
 
@@ -44,25 +44,16 @@ def test_what_is_left_out_stands_for_all() -> None:
         (KEYS.cmd(), KEYS.cmd("x", "arm")),
         (KEYS.leases, KEYS.lease("x")),
         (KEYS.leases, KEYS.lease("x", "a")),
-        (KEYS.leases_of("x"), KEYS.lease("x")),
-        (KEYS.leases_of("x"), KEYS.lease("x", "a")),
         (KEYS.live("adapter"), KEYS.live("adapter", "x", "1")),
         (KEYS.log(), KEYS.log("adapter", "x")),
         (KEYS.job_state(), KEYS.job_state("7")),
     ):
         assert intersects(check_expression(wide), key)
-    assert not intersects(KEYS.leases_of("x"), KEYS.lease("y"))
 
 
 def test_keys_are_read_back() -> None:
-    assert KEYS.ctl_of(KEYS.state("x")) == "x"
-    assert KEYS.ctl_of(KEYS.lease("x", "a")) == "x"
-    assert KEYS.axis_of(KEYS.lease("x", "a")) == "a"
-    assert KEYS.axis_of(KEYS.lease("x")) is None
     assert KEYS.verb_of(KEYS.cmd("x", "arm")) == "arm"
     assert KEYS.verb_of(KEYS.svc("submit")) == "submit"
-    assert KEYS.job_of(KEYS.job_report("7")) == "7"
-    assert KEYS.presence_of(KEYS.live("adapter", "x", "9f")) == Presence("adapter", "x", "9f")
 
 
 @pytest.mark.parametrize("id", ["", "X", "a/b", "a b", "*", "ä", "a\n"])
@@ -77,8 +68,6 @@ def test_an_id_that_cannot_be_one_is_refused(id: str) -> None:
 
 @pytest.mark.parametrize("key", [Keys("other").state("x"), KEYS.queue, "ctl/x/state", KEYS.prefix])
 def test_a_key_of_something_else_is_not_read(key: str) -> None:
-    with pytest.raises(ValueError, match=r"no key of|not of fleet"):
-        KEYS.ctl_of(key)
     with pytest.raises(ValueError, match=r"no key of|not of fleet"):
         KEYS.verb_of(key)
 
