@@ -17,7 +17,7 @@ class Change(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     power: bool | None = None
-    input: tuple[Annotated[int, Field(ge=0)], bool] | None = None
+    input: tuple[Annotated[int, Field(ge=1)], bool] | None = None
     limit: tuple[str, LimitSwitch] | None = None
     stall: tuple[str, bool] | None = None
 
