@@ -11,8 +11,6 @@ from types import TracebackType
 
 import zenoh
 
-from orchestrator.bus.base import BusClosed
-
 CONNECT_TIMEOUT_S = 5.0
 """How long to wait for a router that is just being started."""
 
@@ -82,13 +80,6 @@ class Router:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    @property
-    def connected(self) -> int:
-        """Sessions that are connected now; a process on the bus has two."""
-        if self._session.is_closed():
-            raise BusClosed(f"the router at {self.endpoint} is closed")
-        return len(self._session.info.transports())
 
     def close(self) -> None:
         """Stop routing. Does nothing the second time."""
