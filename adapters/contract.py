@@ -49,7 +49,10 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class AxisReading:
-    """One axis as the controller reports it, in its counts."""
+    """One axis as the controller reports it, in its counts.
+
+    lost: its counts may not be where the axis is any more (an encoder failed, a motor without one was off).
+    """
 
     commanded_counts: int
     actual_counts: float
@@ -57,6 +60,7 @@ class AxisReading:
     moving: bool
     enabled: bool
     limit: Literal["none", "forward", "reverse", "both"] = "none"
+    lost: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,19 @@ class Lowered:
     tick_ns: float
     costs: Costs
     commands: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JogMove:
+    """One axis moved by hand, in counts of the controller.
+
+    velocity_counts_s: signed, not 0. ramp_counts_s2: for speeding up and slowing down. end_counts: where it comes to
+    rest by itself at the latest (a soft limit); None: an axis without limits, or one that does not know where it is.
+    """
+
+    velocity_counts_s: float
+    ramp_counts_s2: float
+    end_counts: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,8 +266,32 @@ class Driver(ABC):
         """Switch motors. Raises `CannotDo`."""
 
     @abstractmethod
-    async def home(self, axes: Sequence[str]) -> None:
-        """Find the reference by the axis's `homing`; returns when found. Raises `CannotDo`, `DriverFault`."""
+    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+        """Find the reference of all `axes` at once by their `homing`; returns when all have come to rest.
+
+        Gives those that have not found it, with the reason. Raises `CannotDo` when none was begun, `DriverFault`.
+        """
+
+    @abstractmethod
+    async def jog(self, axis: str, move: JogMove) -> None:
+        """Begin to move one axis, or change to `move` while it is jogging; returns when the order is taken.
+
+        Other axes that jog go on. It runs until `stop_axes`, `stop`, `move.end_counts` or a limit switch: the caller
+        keeps the time. Raises `CannotDo`; then the axis does not move by this call.
+        """
+
+    @abstractmethod
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        """Stop jogging axes by their ramps; others go on. Returns when the order is sent; never waits for an
+        outstanding reply, and may be called beside any other call."""
+
+    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        """Load the unit's own soft limits, (low, high) in counts by axis; None: the axis does not know where it is,
+        and must not be held by them. A make without native soft limits has nothing to do.
+
+        Raises `DriverFault` (code `config-mismatch`) when the unit does not hold them afterwards.
+        """
+        del limits
 
     @abstractmethod
     async def set_output(self, number: int, on: bool) -> None: ...

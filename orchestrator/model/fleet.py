@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Id, Model, Rational, UnknownName
+from orchestrator.model.duration import Duration
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
 Positive = Annotated[float, Field(gt=0)]
@@ -71,6 +72,24 @@ class Homing(Model):
     speed: Positive | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
     search_speed: Positive | None = Field(default=None, description="Speed of the fine search, where the make has it.")
     timeout_s: float = Field(default=60.0, gt=0, le=3600)
+    after: list[str] = Field(default=[], description="Axes `controller.axis` that must have found theirs before.")
+
+
+class Jogging(Model):
+    """How fast an axis may be jogged, in unit/s."""
+
+    speed: Positive | None = Field(default=None, description="At most; default: a quarter of the velocity limit.")
+    slow_speed: Positive | None = Field(
+        default=None, description="At most while unreferenced; default: a fiftieth of the velocity limit."
+    )
+
+
+class Brake(Model):
+    """A holding brake. Without `output` the controller or its amplifier switches it together with the motor."""
+
+    output: Id | None = Field(default=None, description="Named output of the same controller; active is released.")
+    release_s: float = Field(default=0.0, ge=0, le=10, description="After enabling: nothing moves before it is open.")
+    engage_s: float = Field(default=0.0, ge=0, le=10, description="Before disabling: until it holds.")
 
 
 class StartRate(Model):
@@ -100,6 +119,11 @@ class Axis(Model):
     limits: Limits
     start_rate: StartRate | None = None
     enable: Literal["manual", "per_job", "at_start"] = "manual"
+    on_estop: Literal["hold", "disable"] = Field(
+        default="hold", description="hold: the motor stays on; disable: off as soon as the axis is at rest."
+    )
+    brake: Brake | None = None
+    jog: Jogging = Jogging()
     homing: Homing = Homing()
     done: Literal["profile", "in_position"] = "profile"
     in_position_window: Positive | None = Field(default=None, description="Unit; needed with `done: in_position`.")
@@ -126,6 +150,14 @@ class Axis(Model):
             raise ValueError("shortest_way needs `wrap`, the length of one turn")
         if self.wrap is not None and parse_quantity(self.wrap, self.unit) <= 0:
             raise ValueError("wrap must be above 0")
+        for name, speed in (
+            ("homing.speed", self.homing.speed),
+            ("homing.search_speed", self.homing.search_speed),
+            ("jog.speed", self.jog.speed),
+            ("jog.slow_speed", self.jog.slow_speed),
+        ):
+            if speed is not None and speed > self.limits.velocity:
+                raise ValueError(f"{name} ({speed:g}) is above limits.velocity ({self.limits.velocity:g})")
         if self.done == "in_position" and self.in_position_window is None:
             raise ValueError("`done: in_position` needs in_position_window")
         if self.soft_limits is not None:
@@ -139,6 +171,11 @@ class Axis(Model):
     def counts_per_unit(self) -> Fraction:
         """Signed counts of the controller per unit."""
         return self.scale * self.sign
+
+    def jog_speed(self, referenced: bool) -> float:
+        """The largest speed of a jog, unit/s: an axis that does not know where it is may only creep."""
+        fast = self.jog.speed or self.limits.velocity / 4
+        return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:
         """The count nearest to `position` (in the axis's unit)."""
@@ -177,7 +214,7 @@ class Output(Model):
 
     number: int = Field(ge=1)
     active: Literal["high", "low"] = "high"
-    safe: bool | None = Field(default=None, description="State to take on a stop of the fleet; none: leave it.")
+    safe: bool | None = Field(default=None, description="State to take on an e-stop, true: active; none: leave it.")
 
 
 class StateRates(Model):
@@ -228,6 +265,15 @@ class Controller(Model):
                 numbers[point.number] = name
         return self
 
+    @model_validator(mode="after")
+    def _brakes(self) -> "Controller":
+        for name, axis in self.axes.items():
+            output = axis.brake.output if axis.brake else None
+            if output is not None and output not in self.outputs:
+                known = ", ".join(self.outputs) or "none"
+                raise ValueError(f"axes.{name}.brake.output: the controller has no output {output}; it has: {known}")
+        return self
+
     @cached_property
     def digest(self) -> str:
         """Names this configuration: equal digests mean equal configuration on both sides of the bus."""
@@ -249,6 +295,7 @@ class Permit(Model):
     input: str = Field(description="controller.input")
     value: bool = Field(default=True, description="true: the input must be active")
     axes: list[str] | None = Field(default=None, description="Axes, groups or controllers; none: the whole fleet.")
+    settle: Duration = Field(default=0, ge=0, description="It must have held for so long before anything moves.")
 
 
 class Fleet(Model):
@@ -284,6 +331,7 @@ class Fleet(Model):
                 self.axis(member)
         for entry in self.home_order:
             self.expand(entry)
+        self._homing_dependencies()
         for permit in self.permits.values():
             self._point(permit.input, "inputs")
             for name in permit.axes or []:
@@ -293,6 +341,21 @@ class Fleet(Model):
             for end in wire.to:
                 self._point(end, "inputs")
         return self
+
+    def _homing_dependencies(self) -> None:
+        """Every `after` names an axis, and no axis waits for itself by way of others."""
+        after = {name: self.axis(name).homing.after for name in self.axis_names}
+        for name, others in after.items():
+            for other in others:
+                self.axis(other)
+            waits_for, todo = set[str](), list(others)
+            while todo:
+                other = todo.pop()
+                if other not in waits_for:
+                    waits_for.add(other)
+                    todo += after[other]
+            if name in waits_for:
+                raise ValueError(f"axis {name} is homed after itself (homing.after); take one of the entries away")
 
     def _point(self, name: str, side: Literal["inputs", "outputs"]) -> None:
         controller, _, point = name.partition(".")

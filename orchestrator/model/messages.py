@@ -1,12 +1,13 @@
 """Requests and replies on the bus. A refusal is a value: a reply says either what was done or why not."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Int53, Model
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import ClockMapping, Costs, StartClass
+from orchestrator.model.units import Quantity
 
 
 class Refusal(Model):
@@ -150,12 +151,61 @@ class AxesRequest(Fenced):
     axes: list[str]
 
 
-class EnableRequest(AxesRequest):
+class LeaseRequest(AxesRequest):
+    """From now on only `holder` may move these axes, for `ttl_ms` or until it is said again; 0 takes it back.
+
+    What the holder moves when its lease ends is stopped. A job's holder is its id.
+    """
+
+    holder: str
+    ttl_ms: int = Field(ge=0, le=60_000)
+
+
+class LeasedRequest(AxesRequest):
+    """A request that only the holder of the axes' leases may make."""
+
+    holder: str
+
+
+class EnableRequest(LeasedRequest):
     on: bool
 
 
-class HomeRequest(AxesRequest):
-    """Find the reference. The reply comes when it is found or has failed."""
+class HomeRequest(LeasedRequest):
+    """Find the reference. The reply comes when all axes have found it or failed."""
+
+
+class HomeReply(Reply):
+    """Axes that know where they are now, and those that have not found their reference, with the reason."""
+
+    homed: list[str] = Field(default=[])
+    failed: dict[str, Refusal] = Field(default={})
+
+
+class SetPositionRequest(LeasedRequest):
+    """Call the place where the one axis of `axes` stands `position` (None: take the offset away). Nothing moves."""
+
+    position: Quantity | None
+
+
+class ConfigureRequest(Fenced):
+    """Take another configuration (a controller of a fleet file, in its JSON form); the adapter starts anew with it."""
+
+    configuration: dict[str, Any]
+
+
+class JogRequest(Request):
+    """Move axes at a velocity (unit/s, user's direction) for `valid_ms`; 0 stops the axis. From the lease's holder.
+
+    seq: grows with each request of a holder; an older one that comes late is refused. renew: go on with what moves;
+    an axis that has been stopped meanwhile stays stopped.
+    """
+
+    holder: str
+    seq: Int53
+    velocities: dict[str, float] = Field(min_length=1)
+    renew: bool = False
+    valid_ms: int = Field(default=200, ge=20, le=200)
 
 
 class OutputRequest(Fenced):
@@ -183,9 +233,13 @@ class Estop(Model):
 
 
 class Reset(Request):
-    """Release the e-stop latch named `event` (`None`: whichever is latched), and clear what can be cleared."""
+    """Release the e-stop latch named `event` (`None`: whichever is latched), and clear what can be cleared.
+
+    check: only say whether the conditions for it hold.
+    """
 
     event: str | None = None
+    check: bool = False
 
 
 class TraceReply(Reply):

@@ -1,12 +1,13 @@
 """What an adapter says of its controller: state, events, information, clock."""
 
+from fractions import Fraction
 from typing import Any, Literal
 
 from pydantic import Field
 
-from orchestrator.model.base import HostNs, Id, Int53, Model
+from orchestrator.model.base import HostNs, Id, Int53, Model, Rational
 
-Mode = Literal["offline", "idle", "armed", "committed", "moving", "homing", "stopping", "fault"]
+Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
 StartClass = Literal["clock", "line", "sync", "host"]
 
 
@@ -16,6 +17,8 @@ EventKind = Literal[
     "fault",
     "cleared",
     "limit",
+    "homed",
+    "unreferenced",
     "input",
     "refusal",
     "started",
@@ -39,14 +42,23 @@ class Fault(Model):
 
 
 class AxisState(Model):
-    """One axis now. Positions and velocity are in the axis's unit; counts are the controller's."""
+    """One axis now, in its unit. Three coordinates: raw (counts of the controller), motor (raw in the axis's unit),
+    user (motor plus `offset`, within one turn where the axis wraps). Jobs speak of user positions; soft limits are
+    motor positions.
+
+    position, commanded: user. homing: it looks for its reference now.
+    """
 
     position: float
     commanded: float
     velocity: float
+    motor_position: float
+    raw_counts: float
     commanded_counts: Int53
+    offset: Rational = Fraction(0)
     unit: str
     moving: bool
+    homing: bool = False
     enabled: bool
     referenced: bool
     limit: Literal["none", "forward", "reverse", "both"] = "none"
@@ -90,6 +102,7 @@ class ControllerState(Model):
     digest: str
     job: str | None = None
     step: int | None = None
+    leases: dict[str, str] = Field(default={}, description="Who may move: holder by axis, for axes that are held.")
 
 
 class Interval(Model):
