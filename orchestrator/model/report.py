@@ -128,12 +128,17 @@ class JobReport(Model):
 
 
 class Lease(Model):
-    """Who may move a controller, on `lease/{controller}`. No holder: it is free."""
+    """Who may move a controller, or an axis of it, on `lease/{controller}[/{axis}]`. No holder: it is free.
+
+    holder: a job's id, or `hand-…` for a person. what: in words.
+    """
 
     schema_: Literal["tutti.lease/1"] = Field(default="tutti.lease/1", alias="schema")
     controller: str
+    axis: str | None = None
     holder: str | None
     actor: str
+    what: str = ""
     epoch: Int53
 
 
