@@ -10,6 +10,7 @@ from adapters.contract import (
     Driver,
     DriverFault,
     Identity,
+    JogMove,
     Lowered,
     Outcome,
     Reading,
@@ -142,8 +143,14 @@ class ShrcDriver(Driver):
         if on:
             await unit.buffers.make_harmless(unit.excited)
 
-    async def home(self, axes: Sequence[str]) -> None:
-        await home(self._config, self._clock, self._connected(), axes)
+    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+        return await home(self._config, self._clock, self._connected(), axes)
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        raise CannotDo("not-by-hand", f"axis {axis} can not be moved by hand", "submit a move")
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        await self.stop(False)
 
     async def set_output(self, number: int, on: bool) -> None:
         unit = self._connected()

@@ -8,7 +8,7 @@ HM and FE take their direction from the level of the home input (L5586), so that
 side; only FI goes in the direction of the fleet file.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.device import Device
@@ -35,8 +35,8 @@ def ramp_register(counts_s2: float, tick_s: float) -> int:
     return max(RAMP_STEP, min(RAMP_MAX, int(counts_s2 * tick_s**2 * RAMP_UNIT // RAMP_STEP) * RAMP_STEP))
 
 
-async def home(device: Device, clock: Clock, axes: Sequence[tuple[str, int, Axis]]) -> None:
-    """Home `axes` (name, index, configuration) at the same time. Raises `CannotDo` naming what did not succeed."""
+async def home(device: Device, clock: Clock, axes: Sequence[tuple[str, int, Axis]]) -> Mapping[str, CannotDo]:
+    """Home `axes` (name, index, configuration) at the same time; gives those that have not succeeded, and why."""
     session, tick_s = device.session, device.samples.tick_ns * 1e-9
     commands = {name: METHODS[axis.homing.method] for name, _, axis in axes}
     for name, index, axis in axes:
@@ -59,10 +59,14 @@ async def home(device: Device, clock: Clock, axes: Sequence[tuple[str, int, Axis
         if not any(record.axes[index].moving for _, index, _ in axes):
             break
         await sleep_ns(clock, LOOK_NS)
+    failed: dict[str, CannotDo] = {}
     for name, index, _ in axes:
         number = record.axes[index].stop_code
         if number not in FOUND[commands[name]]:
             stop = stop_words(number)
-            raise CannotDo("homing-failed", f"axis {name}: homing {stop.text}", stop.remedy or "look at its switches")
-        if commands[name] == "FE":
+            failed[name] = CannotDo(
+                "homing-failed", f"axis {name}: homing {stop.text}", stop.remedy or "look at its switches"
+            )
+        elif commands[name] == "FE":
             await session.tell(f"DP{AXIS_LETTERS[index]}=0")
+    return failed

@@ -11,6 +11,7 @@ from adapters.contract import (
     Capabilities,
     Driver,
     Identity,
+    JogMove,
     Lowered,
     Outcome,
     Reading,
@@ -206,10 +207,16 @@ class SMC4000Driver(Driver):
             if record.axes[self._motors[name]].enabled != on:
                 raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
 
-    async def home(self, axes: Sequence[str]) -> None:
-        await homing.home(
+    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+        return await homing.home(
             self._device, self._clock, [(name, self._motors[name], self._config.axes[name]) for name in axes]
         )
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        raise CannotDo("not-by-hand", f"axis {axis} can not be moved by hand", "submit a move")
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        await self.stop(False)
 
     async def set_output(self, number: int, on: bool) -> None:
         await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")
