@@ -7,9 +7,9 @@ async with await Tutti.connect("tcp/127.0.0.1:7447") as tutti:
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import ROOT, Keys
@@ -19,6 +19,9 @@ from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Re
 from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
 from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
 from orchestrator.model.state import ControllerState, Info
+
+if TYPE_CHECKING:
+    from orchestrator.client.hand import Hand
 
 M = TypeVar("M", bound=Model)
 
@@ -42,7 +45,7 @@ class Tutti:
         self.bus = bus
         self.keys = Keys(fleet)
         self.actor = actor
-        self._new_id = new_id
+        self.new_id = new_id
 
     @classmethod
     async def connect(cls, endpoint: str, fleet: str | None = None, actor: str = "api") -> Self:
@@ -74,25 +77,25 @@ class Tutti:
         """Submit a job: its id, once it is safe in the journal. A job without an actor gets ours. Raises `Refused`."""
         if job.actor == UNKNOWN_ACTOR:
             job = job.model_copy(update={"actor": self.actor})
-        request = Submit(**self._fields(), job=job, client_key=client_key or self._new_id())
-        return (await self._service("submit", request, Submitted)).job_id
+        request = Submit(**self.fields(), job=job, client_key=client_key or self.new_id())
+        return (await self.service("submit", request, Submitted)).job_id
 
     async def dry_run(self, job: Job) -> dict[str, Any]:
         """What each motion step would take, from where the fleet stands now. Raises `Refused`."""
-        request = Submit(**self._fields(), job=job, client_key=self._new_id(), dry_run=True)
-        return (await self._service("submit", request, Submitted, DRY_RUN_S)).dry_run or {}
+        request = Submit(**self.fields(), job=job, client_key=self.new_id(), dry_run=True)
+        return (await self.service("submit", request, Submitted, DRY_RUN_S)).dry_run or {}
 
     async def jobs(self, limit: int = 50) -> QueueState:
         """The newest jobs, newest first."""
-        return await self._ask_service("list", ListJobs(**self._fields(), limit=limit), QueueState, ANSWER_S)
+        return await self._ask_service("list", ListJobs(**self.fields(), limit=limit), QueueState, ANSWER_S)
 
     async def show(self, job_id: str) -> JobShown:
         """Everything the journal has of a job. Raises `Refused`."""
-        return await self._service("show", JobRef(**self._fields(), job_id=job_id), JobShown)
+        return await self.service("show", JobRef(**self.fields(), job_id=job_id), JobShown)
 
     async def cancel(self, job_id: str) -> None:
         """Cancel a job, queued or running. Raises `Refused`."""
-        await self._service("cancel", JobRef(**self._fields(), job_id=job_id), Reply)
+        await self.service("cancel", JobRef(**self.fields(), job_id=job_id), Reply)
 
     async def wait(
         self, job_id: str, on_progress: Callable[[Progress], None] | None = None, poll_s: float = 1.0
@@ -140,12 +143,12 @@ class Tutti:
 
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running job. What each controller answered, by id."""
-        request = Stop(**self._fields(), mode="abort" if mode == "abort" else "decelerate")
-        fleet = StopFleet(**self._fields(), mode=request.mode)
+        request = Stop(**self.fields(), mode="abort" if mode == "abort" else "decelerate")
+        fleet = StopFleet(**self.fields(), mode=request.mode)
         # The coordinator knows all controllers, and the job; who is there is asked meanwhile, for it may be away.
-        service = asyncio.ensure_future(self._service("stop", fleet, Reply))
+        service = asyncio.ensure_future(self.service("stop", fleet, Reply))
         controllers = list(await self.status(STOP_LOOK_S))
-        stops = [self._command(controller, "stop", request, Reply) for controller in controllers]
+        stops = [self.command(controller, "stop", request, Reply) for controller in controllers]
         *replies, _ = await asyncio.gather(*stops, service, return_exceptions=True)
         return {
             controller: reply.refusal if isinstance(reply, Refused) else None
@@ -154,7 +157,7 @@ class Tutti:
 
     async def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
         """Put an e-stop, and say which controllers show its latch within `timeout_s`."""
-        event = f"{self.actor}-{self._new_id()[:8]}"
+        event = f"{self.actor}-{self.new_id()[:8]}"
         self.bus.put(self.keys.estop, Estop(event=event, actor=self.actor, reason=reason).to_json(), Priority.ESTOP)
         latched: dict[str, bool] = {}
         try:
@@ -168,20 +171,23 @@ class Tutti:
     async def reset(self) -> dict[str, Refusal | None]:
         """Release the e-stop latch of every controller and clear its faults. What each answered, by id."""
         controllers = list(await self.status())
-        request = Reset(**self._fields())
-        asked = [self._command(controller, "reset", request, Reply) for controller in controllers]
+        request = Reset(**self.fields())
+        asked = [self.command(controller, "reset", request, Reply) for controller in controllers]
         replies = await asyncio.gather(*asked, return_exceptions=True)
         return {
             controller: reply.refusal if isinstance(reply, Refused) else None
             for controller, reply in zip(controllers, replies, strict=True)
         }
 
+    async def info(self, controller: str) -> Info:
+        """Who a controller is, what it can do, and the configuration that its adapter holds. Raises `Refused`."""
+        request = Request(**self.fields())
+        return await self._ask(self.keys.info(controller), request, Info, ANSWER_S, _absent(controller))
+
     async def axis_config(self, axis: str) -> dict[str, Any]:
         """The configuration of `controller.axis` as its adapter holds it. Raises `Refused`."""
         controller, _, name = axis.partition(".")
-        info = await self._ask(
-            self.keys.info(controller), Request(**self._fields()), Info, ANSWER_S, _absent(controller)
-        )
+        info = await self.info(controller)
         if name not in info.axes:
             text = f"{controller} has no axis {name!r}; its axes are: {', '.join(info.axes)}"
             raise Refused(Refusal(code="unknown-axis", text=text, remedy="see `tutti axis ls`"))
@@ -189,12 +195,12 @@ class Tutti:
 
     async def raw(self, controller: str, command: str, i_know: bool) -> str:
         """Send a line in the controller's own language. Raises `Refused`."""
-        request = Raw(**self._fields(), command=command, i_know=i_know)
-        return (await self._command(controller, "raw", request, RawReply)).reply
+        request = Raw(**self.fields(), command=command, i_know=i_know)
+        return (await self.command(controller, "raw", request, RawReply)).reply
 
     async def trace(self, controller: str) -> TraceReply:
         """The last minute of bytes on a controller's link. Raises `Refused`."""
-        return await self._command(controller, "trace", Request(**self._fields()), TraceReply)
+        return await self.command(controller, "trace", Request(**self.fields()), TraceReply)
 
     @asynccontextmanager
     async def samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[Sample]"]:
@@ -207,13 +213,39 @@ class Tutti:
             for each in declared:
                 await each.undeclare()
 
-    # Inside
+    # By hand
 
-    def _fields(self) -> dict[str, Any]:
-        return {"request_id": self._new_id(), "actor": self.actor}
+    def by_hand(self, axes: Sequence[str], what: str = "by hand", ttl_s: float = 3.0) -> "Hand":
+        """Axes (groups, controllers) in hand while the context lasts: nothing else moves them, and they can be jogged.
 
-    async def _service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
+        async with tutti.by_hand(["gantry.x"], what="alignment") as hand:
+            await hand.jog({"gantry.x": 5.0})
+
+        what: shown to those who are refused meanwhile. ttl_s: how long the axes stay taken when this process dies.
+        Entering raises `Refused`: code `leased` while somebody else has one of them, `permit` while one is missing.
+        """
+        from orchestrator.client.hand import Hand
+
+        return Hand(self, axes, what, ttl_s)
+
+    # What the other modules of this package ask with
+
+    def fields(self) -> dict[str, Any]:
+        """What every request carries."""
+        return {"request_id": self.new_id(), "actor": self.actor}
+
+    async def service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
+        """Ask the reigning coordinator. Raises `Refused`."""
         return _accepted(await self._ask_service(verb, request, reply, timeout_s))
+
+    async def command(
+        self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
+    ) -> M:
+        """Ask a controller's adapter. Raises `Refused`."""
+        key = self.keys.cmd(controller, verb)
+        return _accepted(await self._ask(key, request, reply, timeout_s, _absent(controller)))
+
+    # Inside
 
     async def _ask_service(self, verb: str, request: Request, reply: type[M], timeout_s: float) -> M:
         absent = Refusal(
@@ -222,10 +254,6 @@ class Tutti:
             remedy="start one: `tutti up FLEET`",
         )
         return await self._ask(self.keys.svc(verb), request, reply, timeout_s, absent)
-
-    async def _command(self, controller: str, verb: str, request: Request, reply: type[M]) -> M:
-        key = self.keys.cmd(controller, verb)
-        return _accepted(await self._ask(key, request, reply, ANSWER_S, _absent(controller)))
 
     async def _ask(self, key: str, request: Request, reply: type[M], timeout_s: float, absent: Refusal) -> M:
         try:

@@ -1,0 +1,211 @@
+"""Axes in hand, against a coordinator and adapters that only take notes."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from orchestrator.bus.base import Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.memory import MemoryNet
+from orchestrator.client import Refused, Tutti
+from orchestrator.client.hand import Hand
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.messages import JogRequest, Refusal, Reply
+from orchestrator.model.service import GiveBack, Take, Taken
+
+
+class Stage:
+    """A coordinator and two adapters. `refuse`: what they say to a verb from now on."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.net = MemoryNet(clock, seed=3)
+        self.keys = Keys("lab")
+        self.taken: list[Take] = []
+        self.returned: list[GiveBack] = []
+        self.jogs: list[tuple[str, JogRequest]] = []
+        self.refuse: dict[str, str] = {}
+        self._ids = 0
+
+    async def start(self) -> Tutti:
+        self.coordinator = self.net.join("coordinator")
+        await self.coordinator.serve(self.keys.svc("take"), self._take)
+        await self.coordinator.serve(self.keys.svc("release"), self._release)
+        for name in ("gantry", "stage"):
+            await self.net.join(name).serve(self.keys.cmd(name, "jog"), self._jog(name))
+        return Tutti(self.net.join("client"), "lab", "somebody", self._new_id)
+
+    def of(self, controller: str) -> list[JogRequest]:
+        return [request for name, request in self.jogs if name == controller]
+
+    def _new_id(self) -> str:
+        self._ids += 1
+        return f"{self._ids:08x}"
+
+    def _refusal(self, verb: str) -> Refusal | None:
+        code = self.refuse.get(verb)
+        return None if code is None else Refusal(code=code, text=f"{verb}: {code}")
+
+    async def _take(self, sample: Sample) -> bytes:
+        request = Take.model_validate_json(sample.payload)
+        self.taken.append(request)
+        return Taken(refused=self._refusal("take"), axes=request.axes).to_json()
+
+    async def _release(self, sample: Sample) -> bytes:
+        self.returned.append(GiveBack.model_validate_json(sample.payload))
+        return Reply().to_json()
+
+    def _jog(self, name: str) -> Callable[[Sample], Coroutine[Any, Any, bytes]]:
+        async def answer(sample: Sample) -> bytes:
+            self.jogs.append((name, JogRequest.model_validate_json(sample.payload)))
+            return Reply(refused=self._refusal(name)).to_json()
+
+        return answer
+
+
+def on_stage(test: Callable[[Stage, Tutti], Coroutine[Any, Any, None]]) -> None:
+    async def main(clock: VirtualClock) -> None:
+        stage = Stage(clock)
+        await test(stage, await stage.start())
+
+    run_virtual(main)
+
+
+def hand_of(tutti: Tutti) -> Hand:
+    return tutti.by_hand(["gantry.x", "stage.u"], what="alignment")
+
+
+def test_the_lease_is_taken_renewed_and_given_back() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        began_ns = stage.clock.now_ns()
+        async with tutti.by_hand(["gantry.x"], what="alignment", ttl_s=3.0) as hand:
+            assert hand.axes == ["gantry.x"]
+            await asyncio.sleep(4.5)
+        assert len(stage.taken) == 5
+        assert {take.holder for take in stage.taken} == {hand.holder}
+        assert stage.taken[0].what == "alignment"
+        assert [back.holder for back in stage.returned] == [hand.holder]
+        await asyncio.sleep(10)
+        assert len(stage.taken) == 5
+        assert stage.clock.now_ns() - began_ns > 14 * NS_PER_S
+
+    on_stage(test)
+
+
+def test_it_is_given_back_although_the_user_fails() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        with pytest.raises(ValueError, match="mistake"):
+            async with hand_of(tutti) as hand:
+                await hand.jog({"gantry.x": 5.0})
+                raise ValueError("mistake")
+        assert [request.velocities for request in stage.of("gantry")] == [{"x": 5.0}, {"x": 0.0}]
+        assert len(stage.returned) == 1
+
+    on_stage(test)
+
+
+def test_each_taking_has_a_holder_of_its_own() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        assert hand_of(tutti).holder != hand_of(tutti).holder
+
+    on_stage(test)
+
+
+def test_who_is_refused_holds_nothing() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        stage.refuse["take"] = "leased"
+        with pytest.raises(Refused) as error:
+            async with hand_of(tutti):
+                raise AssertionError
+        assert error.value.refusal.code == "leased"
+        assert stage.returned == []
+
+    on_stage(test)
+
+
+def test_a_jog_goes_to_each_controller_at_once_and_in_order() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            await hand.jog({"gantry.x": 5.0, "gantry.y": -1.0, "stage.u": 0.5})
+            await hand.renew()
+            await hand.renew({"gantry.x": 6.0})
+            await hand.jog({"gantry.y": 0.0})
+            await hand.renew(valid_ms=100)
+            await hand.stop()
+            count = len(stage.jogs)
+            await hand.stop()
+            assert len(stage.jogs) == count
+        gantry = stage.of("gantry")
+        assert [(request.renew, request.velocities) for request in gantry] == [
+            (False, {"x": 5.0, "y": -1.0}),
+            (True, {"x": 5.0, "y": -1.0}),
+            (True, {"x": 6.0, "y": -1.0}),
+            (False, {"y": 0.0}),
+            (True, {"x": 6.0}),
+            (False, {"x": 0.0, "y": 0.0}),
+        ]
+        assert gantry[4].valid_ms == 100
+        assert [request.velocities for request in stage.of("stage")] == [{"u": 0.5}] * 4 + [{"u": 0.0}]
+        for name in ("gantry", "stage"):
+            numbers = [request.seq for request in stage.of(name)]
+            assert numbers == sorted(set(numbers))
+        assert {request.holder for _, request in stage.jogs} == {hand.holder}
+
+    on_stage(test)
+
+
+def test_one_that_refuses_stops_the_others() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            stage.refuse["stage"] = "not-enabled"
+            with pytest.raises(Refused) as error:
+                await hand.jog({"gantry.x": 5.0, "stage.u": 1.0})
+            assert error.value.refusal.code == "not-enabled"
+            assert stage.of("gantry")[-1].velocities == {"x": 0.0}
+            assert hand.lost is None
+
+    on_stage(test)
+
+
+def test_a_lease_that_ended_early_is_told_and_moves_nothing_more() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            stage.refuse["take"] = "permit"
+            await asyncio.sleep(1.5)
+            assert hand.lost is not None
+            assert hand.lost.code == "permit"
+            taken, sent = len(stage.taken), len(stage.jogs)
+            with pytest.raises(Refused, match="permit"):
+                await hand.jog({"gantry.x": 5.0})
+            await asyncio.sleep(5)
+            assert (len(stage.taken), len(stage.jogs)) == (taken, sent)
+
+    on_stage(test)
+
+
+def test_an_adapter_that_knows_no_lease_ends_it_here() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            await hand.jog({"gantry.x": 5.0})
+            stage.refuse["gantry"] = "not-leased"
+            with pytest.raises(Refused):
+                await hand.renew()
+            assert hand.lost is not None
+            # What has stopped already needs no stop: this is no refusal.
+            await hand.stop()
+
+    on_stage(test)
+
+
+def test_a_coordinator_that_is_gone_ends_the_lease() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            await stage.coordinator.close()
+            await asyncio.sleep(1.5)
+            assert hand.lost is not None
+            assert hand.lost.code == "no-coordinator"
+
+    on_stage(test)
