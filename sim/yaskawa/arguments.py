@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from sim.yaskawa.context import Context
 
 QUERY: Final = "?"
-LETTERS: Final = "XYZW"
+LETTERS: Final = "XYZWEFGH"
+"""Of all axes that a model of the family can have; which ones a unit has shows when a command is run."""
 _SAME: Final = {"A": "X", "B": "Y", "C": "Z", "D": "W"}
 
 Field = Evaluator | str | None
@@ -43,7 +44,7 @@ def split(text: str, separator: str = ",") -> list[str]:
     return parts
 
 
-def parse_axes(text: str, allowed: str = "XYZW") -> tuple[str, ...]:
+def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
     """The designators in a list of letters, `~a` kept as it is; none given gives an empty tuple."""
     found: list[str] = []
     position = 0
@@ -66,7 +67,7 @@ def parse_field(text: str) -> Field:
     return QUERY if text == "?" else compile_expression(text)
 
 
-def parse_fields(text: str, most: int = 4) -> list[Field]:
+def parse_fields(text: str, most: int = len(LETTERS)) -> list[Field]:
     """Fields by position."""
     parts = split(text)
     if len(parts) > most:

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-POINTS = 1025
-
 
 @dataclass(slots=True)
 class Cam:
-    """Master, table and cycles. Positions in counts."""
+    """Master, table and cycles. Positions in counts. points: how many entries the table has."""
 
+    points: int
     master: str | None = None
     enabled: bool = False
     index: int = 0
@@ -27,13 +26,13 @@ class Cam:
         return self.cycles.get(self.master or "", 0)
 
     def store(self, slave: str, index: int, value: int) -> None:
-        self.table.setdefault(slave, [0] * POINTS)[index] = value
+        self.table.setdefault(slave, [0] * self.points)[index] = value
 
     def value(self, slave: str, master: float) -> float:
         """The slave's position for an unmodularised master position, cycles added up (D58: linear between points)."""
-        table = self.table.get(slave) or [0] * POINTS
+        table = self.table.get(slave) or [0] * self.points
         turns, rest = divmod(master - self.start, self.cycle) if self.cycle else (0.0, max(master - self.start, 0.0))
-        index = min(int(rest // self.interval), POINTS - 2)
+        index = min(int(rest // self.interval), self.points - 2)
         share = (rest - index * self.interval) / self.interval
         low, high = table[index], table[index + 1]
         return turns * self.cycles.get(slave, 0) + low + (high - low) * share

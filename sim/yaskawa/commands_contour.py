@@ -9,13 +9,11 @@ from sim.yaskawa.expressions import integer
 from sim.yaskawa.registry import Outcome, Runner, bare, command
 from sim.yaskawa.trippoints import when
 
-LARGEST = 32767
-
 
 @command("CM")
 def _contour_mode(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(fixed.whole(full(c)))
+        return lambda c: c.machine.show("CM", fixed.whole(full(c)))
     names = parse_axes(text)
 
     def run(c: Context) -> Outcome:
@@ -70,7 +68,7 @@ def _record(text: str) -> Runner:
             if field is not None and not isinstance(field, str):
                 targets = contour.axes if name == "*" and contour is not None else (c.machine.axis(name).name,)
                 given.update(dict.fromkeys(targets, fixed.truncated(field(c))))
-        if any(abs(increment) > LARGEST for increment in given.values()):
+        if any(abs(increment) > c.machine.model.figures.contour_step for increment in given.values()):
             raise CommandError(41)
         if contour is None:
             if motion.contour_interval == 0 and not any(given.values()):
@@ -95,7 +93,7 @@ def _take(c: Context, contour: Contour, increments: tuple[int, ...]) -> None:
         return
     if motion.contour_late:
         motion.contour_late = False
-        machine.error_code = 42
+        machine.fail(42)
         if machine.options.late_contour_error:
             raise CommandError(42)
     if contour.started is None:

@@ -9,7 +9,6 @@ from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator, compile_expression, integer
 from sim.yaskawa.formats import Format, Layout
-from sim.yaskawa.recorder import CHANNELS
 from sim.yaskawa.registry import Outcome, Runner, bare, command
 from sim.yaskawa.statements import Raw, local_format
 
@@ -20,7 +19,7 @@ _END_OF_TEXT = "\x1a"
 @command("PF")
 def _position_format(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(c.machine.position_format.value)
+        return lambda c: c.machine.show("PF", c.machine.position_format.value)
     value = compile_expression(text)
 
     def run(c: Context) -> Outcome:
@@ -33,7 +32,7 @@ def _position_format(text: str) -> Runner:
 @command("VF")
 def _variable_format(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(c.machine.variable_format.value)
+        return lambda c: c.machine.show("VF", c.machine.variable_format.value)
     value = compile_expression(text)
 
     def run(c: Context) -> Outcome:
@@ -254,10 +253,10 @@ def _upload_array(text: str) -> Runner:
 @command("RA")
 def _record_arrays(text: str) -> Runner:
     names = [array_name(part) for part in split(text)]
-    if len(names) > CHANNELS:
-        raise CommandError(4)
 
     def run(c: Context) -> Outcome:
+        if len(names) > c.machine.options.channels:
+            raise CommandError(4)
         for name in names:
             c.machine.data.array(name)
         c.machine.recorder.arrays = list(names)
@@ -276,10 +275,12 @@ def _record_data(text: str) -> Runner:
         if not part.startswith("_") or part[1:3] not in _RECORDED:
             raise CommandError(58)
         sources.append(compile_expression(part.replace("_SH", "_RP")))
-    if len(sources) > CHANNELS:
-        raise CommandError(4)
 
     def run(c: Context) -> Outcome:
+        if len(sources) > c.machine.options.channels:
+            raise CommandError(4)
+        for source in sources:
+            source(c)
         c.machine.recorder.sources = list(sources)
         return None
 
@@ -342,7 +343,7 @@ def _list_program(text: str) -> Runner:
         lines = c.machine.program.lines
         first = places[0](c) if places[0] is not None else 0
         last = places[1](c) if places[1] is not None else len(lines) - 1
-        if first < 0 or first > 1999 or last > 1999:
+        if first < 0 or first >= c.machine.model.room.lines or last >= c.machine.model.room.lines:
             raise CommandError(11)
         return Raw(
             "".join(f"{number:03d} {lines[number]}\r\n" for number in range(first, min(last, len(lines) - 1) + 1))

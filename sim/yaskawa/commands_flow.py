@@ -8,9 +8,8 @@ from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import compile_expression, integer
 from sim.yaskawa.interpreter import NO_BREAK
-from sim.yaskawa.program import LINES
 from sim.yaskawa.registry import Outcome, Runner, command
-from sim.yaskawa.threads import THREADS, Thread
+from sim.yaskawa.threads import Thread
 from sim.yaskawa.trippoints import when
 
 
@@ -32,7 +31,7 @@ def _location(text: str) -> Callable[[Context], int]:
 
 
 def _line(c: Context, number: int) -> int:
-    if not 0 <= number < LINES:
+    if not 0 <= number < c.machine.model.room.lines:
         raise CommandError(11)
     if number >= len(c.machine.program.lines):
         raise CommandError(10)
@@ -49,7 +48,7 @@ def _execute(text: str) -> Runner:
     def run(c: Context) -> Outcome:
         interpreter = c.machine.interpreter
         thread = number(c) if number is not None else 0
-        if not 0 <= thread < THREADS:
+        if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
         line = location(c) if location is not None else _line(c, 0)
         if interpreter.threads[thread].running:
@@ -69,7 +68,7 @@ def _halt(text: str) -> Runner:
             c.machine.interpreter.halt_all()
             return None
         thread = number(c)
-        if not 0 <= thread < THREADS:
+        if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
         c.machine.interpreter.threads[thread].halt()
         return None
@@ -267,7 +266,7 @@ def _breakpoint(text: str) -> Runner:
             interpreter.break_at, interpreter.break_hit = None, False
             return None
         number = given[1] or 0
-        if not 0 <= given[0] < LINES or not 0 <= number < THREADS:
+        if not 0 <= given[0] < c.machine.model.room.lines or not 0 <= number < c.machine.model.threads:
             raise CommandError(6)
         interpreter.break_at, interpreter.break_hit = (given[0], number), False
         return None

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 from sim.yaskawa import fixed
 from sim.yaskawa.arguments import LETTERS, canonical, parse_axes, parse_fields, parse_form, split, values
 from sim.yaskawa.axis import Axis
-from sim.yaskawa.cam import POINTS
 from sim.yaskawa.commands_parameters import targets
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
@@ -93,7 +92,7 @@ def _gantry(text: str) -> Runner:
 
 @command("EA")
 def _cam_master(text: str) -> Runner:
-    names = parse_axes(text, "XYZWN")
+    names = parse_axes(text, LETTERS + "N")
     if len(names) != 1:
         raise CommandError(4)
 
@@ -146,7 +145,7 @@ def _cam_counter(text: str) -> Runner:
 
     def run(c: Context) -> Outcome:
         index = value(c)
-        if not 0 <= index < POINTS:
+        if not 0 <= index < c.machine.motion.cam.points:
             raise CommandError(6)
         c.machine.motion.cam.index = index
         return None
@@ -197,13 +196,13 @@ def _cam_table(text: str) -> Runner:
     def run(c: Context) -> Outcome:
         cam = c.machine.motion.cam
         number = fixed.truncated(index(c)) if index is not None else cam.index
-        if not 0 <= number < POINTS:
+        if not 0 <= number < cam.points:
             raise CommandError(101)
         for letter, raw in zip(LETTERS, fields(c), strict=False):
             if raw is not None:
                 cam.store(c.machine.axis(letter).name, number, fixed.truncated(raw))
         if index is None:
-            cam.index = min(number + 1, POINTS - 1)
+            cam.index = min(number + 1, cam.points - 1)
         return None
 
     return run

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import parse_axes
+from sim.yaskawa.arguments import LETTERS, parse_axes
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_parameters import form_command
 from sim.yaskawa.context import Context
@@ -29,7 +29,7 @@ def resolve(c: Context, names: tuple[str, ...]) -> list[str]:
 
 @command("BG")
 def _begin(text: str) -> Runner:
-    names = parse_axes(text, "XYZWNST")
+    names = parse_axes(text, LETTERS + "NST")
 
     def run(c: Context) -> Outcome:
         machine, motion = c.machine, c.machine.motion
@@ -82,12 +82,12 @@ def _check_begin(c: Context, axis: Axis, now: int) -> None:
 
 @command("ST")
 def _stop(text: str) -> Runner:
-    names = parse_axes(text, "XYZWNST")
+    names = parse_axes(text, LETTERS + "NST")
 
     def run(c: Context) -> Outcome:
         machine, motion = c.machine, c.machine.motion
         at = machine.timebase.next_sample()
-        wanted = resolve(c, names) or [*motion.axes, "S", "T"]
+        wanted = resolve(c, names) or [*motion.axes, *motion.systems]
         for name in wanted:
             if name in motion.systems:
                 system = motion.systems[name]
@@ -259,7 +259,7 @@ def _time_base(text: str) -> Runner:
 
     def run(c: Context) -> Outcome:
         period = value(c)
-        low, high, step = c.machine.model.time_bases
+        low, high, step = c.machine.model.time_bases(len(c.machine.letters))
         if not low <= abs(period) <= high or period < 0:
             raise CommandError(6)
         c.machine.timebase.set_period(period // step * step)

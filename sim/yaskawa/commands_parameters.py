@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from sim.yaskawa import fixed
+from sim.yaskawa import fixed, parameters, smc2000_parameters
 from sim.yaskawa.arguments import Field, parse_form
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
-from sim.yaskawa.parameters import PARAMETERS, Parameter
+from sim.yaskawa.parameters import Parameter
 from sim.yaskawa.registry import COMMANDS, Command, Outcome, Runner
 
 Applied = Callable[[Context, Axis, str], None]
@@ -52,13 +52,16 @@ def form_command(
 
 def enter_parameter(op: str, check: Checked | None = None, applied: Applied | None = None) -> None:
     """Enter the command of a parameter in the table."""
-    parameter = PARAMETERS[op]
 
     def read(c: Context, axis: Axis) -> str:
+        parameter = c.machine.model.parameters[op]
+        if not parameter.asked:
+            raise CommandError(51)
         layout = parameter.format or c.machine.position_format
         return layout.write(axis.registers[op], c.machine.layout)
 
     def write(c: Context, given: list[tuple[Axis, int]]) -> None:
+        parameter = c.machine.model.parameters[op]
         accepted = [(axis, accept(parameter, axis, raw)) for axis, raw in given]
         for axis, raw in accepted:
             if axis.moving and not parameter.moving:
@@ -157,5 +160,5 @@ _SPECIAL: dict[str, tuple[Checked | None, Applied | None]] = {
     "EM": (_check_cycle, _cycle),
 }
 
-for _name in PARAMETERS:
+for _name in parameters.SMC4000.keys() | smc2000_parameters.SMC2000.keys():
     enter_parameter(_name, *_SPECIAL.get(_name, (None, None)))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import parse_axes, parse_fields, split, values
+from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, split, values
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator, compile_expression
@@ -16,7 +16,10 @@ Speeds = tuple[Evaluator | None, Evaluator | None]
 
 def system_of(c: Context, name: str = "") -> System:
     """The coordinate system named, or the one that `CA` has selected."""
-    return c.machine.motion.systems[name or c.machine.system_letter]
+    system = c.machine.motion.systems.get(name or c.machine.system_letter)
+    if system is None:
+        raise CommandError(28)
+    return system
 
 
 def _with_speeds(text: str) -> tuple[str, Speeds]:
@@ -36,7 +39,7 @@ def _with_speeds(text: str) -> tuple[str, Speeds]:
 
 def _speeds(c: Context, speeds: Speeds) -> tuple[float | None, float | None]:
     found: list[float | None] = []
-    for evaluator, highest in zip(speeds, (12_000_000, 8_000_000), strict=True):
+    for evaluator, highest in zip(speeds, c.machine.model.figures.fastest, strict=True):
         if evaluator is None:
             found.append(None)
             continue
@@ -73,7 +76,7 @@ def _open(c: Context, axes: tuple[str, ...], linear: bool, tangent: str | None =
 @command("LM")
 def _linear_mode(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(fixed.whole(system_of(c).free(c.machine.now())))
+        return lambda c: c.machine.show("LM", fixed.whole(system_of(c).free(c.machine.now())))
     names = parse_axes(text)
 
     def run(c: Context) -> Outcome:
@@ -86,7 +89,7 @@ def _linear_mode(text: str) -> Runner:
 
 @command("VM")
 def _vector_mode(text: str) -> Runner:
-    names = parse_axes(text, "XYZWN")
+    names = parse_axes(text, LETTERS + "N")
     if len(names) not in (0, 2, 3):
         raise CommandError(50)
 
@@ -113,7 +116,7 @@ def _linear_segment(text: str) -> Runner:
             system_restart(system)
         given = fields(c)
         steps: dict[str, int] = {}
-        for letter, raw in zip("XYZW", given, strict=False):
+        for letter, raw in zip(LETTERS, given, strict=False):
             if raw is None:
                 continue
             step = fixed.truncated(raw)
@@ -238,7 +241,7 @@ def _register(
     def compile_register(text: str) -> Runner:
         if text in ("?", "S?", "T?"):
             read = OPERAND_READERS[op]
-            return lambda c: c.machine.show_value(fixed.of(read(system_of(c, text[:-1]))))
+            return lambda c: c.machine.show(op, fixed.of(read(system_of(c, text[:-1]))))
         if text[1:2] == "=" and text[0] in "ST":
             fields = [compile_expression(text[2:])]
             names = [text[0]]

@@ -4,13 +4,14 @@ import struct
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import parse_axes, split
+from sim.yaskawa.arguments import LETTERS, parse_axes, split
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_motion import chosen
 from sim.yaskawa.context import Context
-from sim.yaskawa.errors import TEXTS, CommandError
+from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import integer
 from sim.yaskawa.formats import Format
+from sim.yaskawa.options import Smc4000Options
 from sim.yaskawa.profile import SPEED_UNIT
 from sim.yaskawa.registry import Outcome, Runner, bare, command
 from sim.yaskawa.sequence import System
@@ -79,7 +80,7 @@ def volts(c: Context, axis: Axis) -> int:
 def switches(c: Context, axis: Axis) -> int:
     """`TS` (L10906)."""
     motion, now = c.machine.motion, c.machine.now()
-    active_high = c.machine.polarity[0] > 0
+    active_high = c.machine.model.switch_levels and c.machine.polarity[0] > 0
     forward = motion.limit_active(axis, True, now) == active_high
     reverse = motion.limit_active(axis, False, now) == active_high
     return (
@@ -109,7 +110,7 @@ def general(c: Context) -> int:
     interpreter = machine.interpreter
     events = {frame.event for frame in interpreter.threads[0].stack}
     return (
-        interpreter.any_running() << 7
+        interpreter.any_running() << machine.model.running_bit
         | (machine.motion.contour is not None and machine.motion.contour.started is not None) << 5
         | bool(events & {"CMDERR", "LIMSWI", "POSERR"}) << 4
         | interpreter.interrupts_on << 3
@@ -118,18 +119,24 @@ def general(c: Context) -> int:
     )
 
 
-def _tell(op: str, read: Reader, form: Format | None = None, allowed: str = "XYZWN") -> None:
+def _tell(
+    op: str,
+    read: Reader,
+    form: Format | None = None,
+    allowed: str = LETTERS + "N",
+    digits: Callable[[Context], int] | None = None,
+) -> None:
     """Enter a command that tells one number of each axis."""
 
     @command(op)
     def compile_tell(text: str) -> Runner:
         if "?" in text:
-            names = tuple("XYZW"[index] for index, mark in enumerate(split(text)) if mark == "?")
+            names = tuple(LETTERS[index] for index, mark in enumerate(split(text)) if mark == "?")
         else:
             names = parse_axes(text, allowed)
 
         def run(c: Context) -> Outcome:
-            layout = form or c.machine.position_format
+            layout = Format(digits(c), 0) if digits is not None else form or c.machine.position_format
             raw = [read(c, axis) if op == "TT" else read(c, axis) * fixed.ONE for axis in chosen(c, names)]
             return report(c, ",".join(layout.write(value, c.machine.layout) for value in raw))
 
@@ -151,10 +158,10 @@ _tell("RP", reference)
 _tell("TE", error)
 _tell("TD", auxiliary)
 _tell("QP", unmodularised)
-_tell("QA", auxiliary, allowed="XYZW")
-_tell("RL", latched, allowed="XYZW")
-_tell("RU", latched, allowed="XYZW")
-_tell("TV", velocity, Format(8, 0))
+_tell("QA", auxiliary, allowed=LETTERS)
+_tell("RL", latched, allowed=LETTERS)
+_tell("RU", latched, allowed=LETTERS)
+_tell("TV", velocity, digits=lambda c: c.machine.model.speed_digits)
 _tell("TT", volts, Format(1, 4))
 _tell("TS", switches, Format(3, 0))
 _tell("SC", lambda c, axis: axis.stop_code, Format(3, 0))
@@ -184,7 +191,7 @@ def _tell_code(text: str) -> Runner:
         code, c.machine.error_code = c.machine.error_code, 0
         if number == 0:
             return report(c, c.machine.show_whole(code, 3))
-        return report(c, f"{code} {TEXTS[code]}" if code else "0")
+        return report(c, f"{code} {c.machine.model.texts[code]}" if code else "0")
 
     return run
 
@@ -202,7 +209,7 @@ def _alarm_text(text: str) -> Runner:
 @command("QZ")
 def _record_sizes(text: str) -> Runner:
     bare(text)
-    return lambda c: report(c, f"{len(c.machine.letters)},24,8,{c.machine.options.qr_axis_bytes}")
+    return lambda c: report(c, f"{len(c.machine.letters)},24,8,{_axis_bytes(c)}")
 
 
 # The data record
@@ -281,7 +288,12 @@ def _axis_block(c: Context, axis: Axis) -> bytes:
         fixed.wrapped(speed * 64),
         max(min(round(volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
     )
-    return block + bytes(machine.options.qr_axis_bytes - len(block))
+    return block + bytes(_axis_bytes(c) - len(block))
+
+
+def _axis_bytes(c: Context) -> int:
+    options = c.machine.options
+    return options.qr_axis_bytes if isinstance(options, Smc4000Options) else 0
 
 
 def _axis_switches(c: Context, axis: Axis) -> int:

@@ -127,7 +127,7 @@ def _mark_messages(text: str) -> Runner:
         if not 0 <= number <= 2:
             raise CommandError(6)
         if number == 0:
-            return report(c, f"{c.machine.model.revision} Copyright Yaskawa Electric America")
+            return report(c, f"{c.machine.revision} Copyright Yaskawa Electric America")
         c.machine.unsolicited_mode = number
         return None
 
@@ -351,7 +351,7 @@ def _which_handle(text: str) -> Runner:
 # Memory and locks
 
 
-def _burn(op: str, seconds: int, burn: Callable[[Context], None], where: str, *, idle: bool) -> None:
+def _burn(op: str, burn: Callable[[Context], None], where: str, *, idle: bool) -> None:
     @command(op, where=where, lock="1")
     def compile_burn(text: str) -> Runner:
         bare(text)
@@ -360,9 +360,11 @@ def _burn(op: str, seconds: int, burn: Callable[[Context], None], where: str, *,
             machine = c.machine
             if idle and any(thread.running for thread in machine.interpreter.threads if thread is not c.thread):
                 raise CommandError(17)
+            if op in machine.model.burning.at_rest and machine.motion.active():
+                raise CommandError(7)
             burn(c)
             if machine.options.burn_takes_time:
-                return at_sample(machine.now() + 1024 * seconds)
+                return at_sample(machine.now() + 1024 * machine.model.burning.seconds[op])
             return None
 
         return run
@@ -370,9 +372,9 @@ def _burn(op: str, seconds: int, burn: Callable[[Context], None], where: str, *,
     del compile_burn
 
 
-_burn("BN", 1, lambda c: c.machine.memory.burn_parameters(), "both", idle=True)
-_burn("BP", 3, lambda c: c.machine.memory.burn_program(), "line", idle=False)
-_burn("BV", 1, lambda c: c.machine.memory.burn_variables(), "both", idle=False)
+_burn("BN", lambda c: c.machine.memory.burn_parameters(), "both", idle=True)
+_burn("BP", lambda c: c.machine.memory.burn_program(), "line", idle=False)
+_burn("BV", lambda c: c.machine.memory.burn_variables(), "both", idle=False)
 
 
 @command("PW", where="line", lock="13")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import parse_axes, parse_fields, parse_form, values
+from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, parse_form, values
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_motion import chosen, resolve
 from sim.yaskawa.context import Context
@@ -51,7 +51,7 @@ def _after_input(text: str) -> Runner:
 
     def run(c: Context) -> Outcome:
         number = value(c)
-        if not 1 <= abs(number) <= 8:
+        if not 1 <= abs(number) <= len(c.machine.world.inputs):
             raise CommandError(6)
         return when(lambda machine, now: machine.world.inputs[abs(number) - 1] == (number > 0))
 
@@ -60,7 +60,7 @@ def _after_input(text: str) -> Runner:
 
 @command("AM")
 def _after_move(text: str) -> Runner:
-    names = parse_axes(text, "XYZWST")
+    names = parse_axes(text, LETTERS + "ST")
 
     def run(c: Context) -> Outcome:
         motion = c.machine.motion
@@ -78,7 +78,7 @@ def _after_move(text: str) -> Runner:
 
 @command("AS")
 def _after_speed(text: str) -> Runner:
-    names = parse_axes(text, "XYZWST")
+    names = parse_axes(text, LETTERS + "ST")
 
     def run(c: Context) -> Outcome:
         motion = c.machine.motion
@@ -101,7 +101,7 @@ def _after_vector(text: str) -> Runner:
     fields = values(parse_fields(text, 2))
 
     def run(c: Context) -> Outcome:
-        for name, raw in zip("ST", fields(c), strict=False):
+        for name, raw in zip(c.machine.model.figures.systems, fields(c), strict=False):
             if raw is not None:
                 if raw < 0:
                     raise CommandError(6)

@@ -1,20 +1,31 @@
 """Variables and arrays (L15700-L15960)."""
 
 import re
+from dataclasses import dataclass
 
 from sim.yaskawa import fixed
 from sim.yaskawa.errors import CommandError
 
-VARIABLES = 510
 ARRAYS = 30
-ELEMENTS = 15000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How much a controller can hold."""
+
+    lines: int
+    labels: int
+    variables: int
+    elements: int
+    """Of all arrays together."""
 
 
 class Data:
     """All variables and arrays of one controller, shared by its threads and ports."""
 
-    def __init__(self) -> None:
+    def __init__(self, room: Room) -> None:
+        self.room = room
         self.variables: dict[str, int] = {}
         self.arrays: dict[str, list[int]] = {}
 
@@ -29,7 +40,7 @@ class Data:
         if name not in self.variables:
             if _NAME.fullmatch(name) is None:
                 raise CommandError(9)
-            if len(self.variables) >= VARIABLES:
+            if len(self.variables) >= self.room.variables:
                 raise CommandError(67)
         self.variables[name] = raw
 
@@ -52,7 +63,7 @@ class Data:
         array[index] = raw
 
     def free_elements(self) -> int:
-        return ELEMENTS - sum(len(array) for array in self.arrays.values())
+        return self.room.elements - sum(len(array) for array in self.arrays.values())
 
     def dimension(self, name: str, size: int) -> None:
         """`DM`: a new array of zeros; one of that name is replaced."""

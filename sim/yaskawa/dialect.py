@@ -13,7 +13,7 @@ from sim.yaskawa import (
     commands_trip,
     operands,
 )
-from sim.yaskawa.registry import COMMANDS
+from sim.yaskawa.registry import COMMANDS, OPERANDS
 
 MODULES = (
     commands_contour,
@@ -29,4 +29,4 @@ MODULES = (
     operands,
 )
 
-__all__ = ["COMMANDS", "MODULES"]
+__all__ = ["COMMANDS", "MODULES", "OPERANDS"]

@@ -1,6 +1,6 @@
-"""Refusals: the error codes that `TC` tells (L10268-L10443)."""
+"""Refusals: the error codes that `TC` tells (SMC-4000: L10268-L10443, SMC-2000: L3477-L3611, L11690-L11784)."""
 
-TEXTS: dict[int, str] = {
+_FAMILY: dict[int, str] = {
     0: "",
     1: "Unrecognized command",
     2: "Command only valid from program",
@@ -9,7 +9,6 @@ TEXTS: dict[int, str] = {
     5: "Input buffer full",
     6: "Number out of range",
     7: "Command not valid while running",
-    8: "Command not valid when not running",
     9: "Variable error",
     10: "Empty program line or undefined label",
     11: "Invalid label or line number",
@@ -20,7 +19,6 @@ TEXTS: dict[int, str] = {
     16: "IP incorrect sign during position move or IP given during forced deceleration",
     17: "ED, BN and DL not valid while program running",
     18: "Command not valid when contouring",
-    19: "Application strand already executing",
     20: "Begin not valid with motor off",
     21: "Begin not valid while running",
     22: "Begin not possible due to Limit Switch",
@@ -31,7 +29,6 @@ TEXTS: dict[int, str] = {
     30: "Sequence segment too short",
     31: "Total move distance in a sequence > 2 billion",
     32: "More than 511 segments in a sequence",
-    33: "VP or CR commands cannot be mixed with LI commands",
     41: "Contouring record range error",
     42: "Contour data being sent too slowly",
     46: "Gear axis both master and follower",
@@ -43,31 +40,37 @@ TEXTS: dict[int, str] = {
     55: "Missing [ or []",
     56: "Array index invalid or out of range",
     57: "Bad function or array",
-    58: "Not a valid Command Operand (i.e._GNX)",
     59: "Mismatched parentheses",
     60: "Download error - line too long or too many lines",
     61: "Duplicate or bad label",
     62: "Too many labels",
-    63: "IF statement without ENDIF",
     65: "IN command must have a comma",
     66: "Array space full",
     67: "Too many arrays or variables",
     71: "IN only valid in task #0",
     80: "Record mode already running",
     81: "No array or source specified",
-    82: "Undefined Array",
     83: "Not a valid number",
     84: "Too many elements",
+    100: "Not valid when running ECAM",
+    104: "Not valid when axis performing ECAM",
+    105: "EB1 command must be given first",
+}
+
+SMC4000: dict[int, str] = _FAMILY | {
+    8: "Command not valid when not running",
+    19: "Application strand already executing",
+    33: "VP or CR commands cannot be mixed with LI commands",
+    58: "Not a valid Command Operand (i.e._GNX)",
+    63: "IF statement without ENDIF",
+    82: "Undefined Array",
     90: "Only X Y Z W valid operand",
     97: "Bad binary command format",
     98: "Binary Commands not valid in application program",
     99: "Bad binary command number",
-    100: "Not valid when running ECAM",
     101: "Improper index into ET (must be 0-256) (0~1024 with special firmaware)",
     102: "No master axis defined for ECAM",
     103: "Master axis modulus greater than 1024*EP value",
-    104: "Not valid when axis performing ECAM",
-    105: "EB1 command must be given first",
     120: "Bad Ethernet transmit",
     121: "Bad Ethernet packet received",
     122: "Ethernet input buffer overrun",
@@ -80,10 +83,27 @@ TEXTS: dict[int, str] = {
     130: "Command not valid while controller is locked",
 }
 
+SMC2000: dict[int, str] = _FAMILY | {
+    8: "Command not valid while not running",
+    19: "Application program/strand already executed",
+    58: "Unrecognized command in a command response (i.e._TPQ)",
+    82: "Undefined array",
+    90: "Only X,Y,Z,W or A,B,C,D,E,F,G,H valid operand",
+    96: "SM jumper needs to be installed for stepper motor operation",
+    101: "Improper index to ET (must be 0-256)",
+    102: "No master axis for ECAM",
+    103: "Master axis modulus greater than 256*EP value",
+    114: "Absolute Encoder option not installed",
+    115: "Motor must be in MO for this comment",
+    116: "Absolute Encoder responded with an alarm",
+    117: "Absolute Encoder did not respond",
+    118: "Controller has GL1600, not GL1800",
+}
+
 
 class CommandError(Exception):
     """A command is refused; `code` is what `TC` tells afterwards."""
 
     def __init__(self, code: int) -> None:
-        super().__init__(f"{code} {TEXTS[code]}")
+        super().__init__(f"code {code}")
         self.code = code

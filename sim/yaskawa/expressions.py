@@ -22,6 +22,7 @@ _TOKEN = re.compile(
     r"""\s*(?:(?P<string>"[^"]*")|(?P<number>\$[0-9A-F]+(?:\.[0-9A-F]*)?|\d+\.?\d*|\.\d+)"""
     r"""|(?P<name>[@_]?[A-Za-z][A-Za-z0-9]*(?:~[a-z])?)|(?P<op><=|>=|<>|[-+*/&|<>=()\[\]]))"""
 )
+_KEYWORD = re.compile(r"P[12](?:CD|CH|NM|ST)")
 _DEPTH = 8  # the manual speaks of four (L15617); its own conditions nest deeper with the brackets of functions
 
 _ARITHMETIC: dict[str, Binary] = {
@@ -153,18 +154,21 @@ class _Parser:
             self.index += 1
             return _function(text, self.bracket("]"))
         if text.startswith("_"):
-            from sim.yaskawa.operands import compile_operand
-
-            return compile_operand(text)
+            return lambda c: c.machine.model.operand(text)(c)
         if self.peek() == "[":
             self.index += 1
             index = self.bracket("]")
             return lambda c: c.machine.data.element(text, fixed.truncated(index(c)))
         if text == "TIME":
             return lambda c: fixed.whole(c.machine.time_counter())
-        if text in ("P1CH", "P1NM", "P1ST", "P1CD"):
-            return lambda c: c.machine.serial_values[text]
+        if _KEYWORD.fullmatch(text) is not None:
+            return lambda c: _keyword(c, text)
         return lambda c: c.machine.data.variable(text)
+
+
+def _keyword(c: "Context", name: str) -> int:
+    machine = c.machine
+    return machine.keyword(name) if name in machine.model.keywords else machine.data.variable(name)
 
 
 def _apply(operator: Binary, left: Evaluator, right: Evaluator) -> Evaluator:
@@ -181,7 +185,13 @@ def _function(name: str, argument: Evaluator) -> Evaluator:
     function = FUNCTIONS.get(name)
     if function is None:
         raise CommandError(57)
-    return lambda c: function(argument(c))
+
+    def run(c: "Context") -> int:
+        if name not in c.machine.model.functions:
+            raise CommandError(57)
+        return function(argument(c))
+
+    return run
 
 
 @lru_cache(maxsize=4096)

@@ -10,15 +10,15 @@ if TYPE_CHECKING:
     from sim.yaskawa.motion import MotionControl
 
 EDGE_CODE, HOME_CODE, SEEK_CODE = 9, 10, -1
-SLOW = 512 * SPEED_UNIT
-"""Speed of the second and third stage of HM, counts/sample (D41)."""
 
 
 class Homing:
     """Drives axes in the modes `home`, `edge` and `index`."""
 
-    def __init__(self, control: "MotionControl") -> None:
+    def __init__(self, control: "MotionControl", speed: int) -> None:
         self.control = control
+        self.slow = speed * SPEED_UNIT
+        """Of the second and third stage of HM, counts/sample."""
         self.polarity = -1
         """`CN` second field: +1 drives forward when the home input is high."""
 
@@ -42,7 +42,7 @@ class Homing:
         elif axis.stage == 2:
             plan_stop(profile, at, down)
         else:
-            plan_jog(profile, at, SLOW if axis.stage == 4 else -axis.direction * SLOW, up, down)
+            plan_jog(profile, at, self.slow if axis.stage == 4 else -axis.direction * self.slow, up, down)
 
     def watch(self, axis: Axis, profile: Profile, at: int) -> tuple[float, int]:
         """When the present stage finds what it looks for."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.statements import Statement, compile_line
-from sim.yaskawa.threads import THREADS, Thread
+from sim.yaskawa.threads import Thread
 from sim.yaskawa.trippoints import Trip, at_sample
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ NO_BREAK = -2147483648
 class Interpreter:
     """Takes turns: one command of a port, one line of a thread. Each command takes `decode` device time."""
 
-    def __init__(self, machine: "Machine", delay_ns: Callable[[], int]) -> None:
+    def __init__(self, machine: "Machine", delay_ns: Callable[[bool], int]) -> None:
         self.machine = machine
         self.delay_ns = delay_ns
-        self.threads = [Thread(number) for number in range(THREADS)]
+        self.threads = [Thread(number) for number in range(machine.model.threads)]
         self.contexts = [Context(machine, thread) for thread in self.threads]
         self.busy = False
         self.trace = False
@@ -88,7 +88,7 @@ class Interpreter:
             port, thread = self._choose()
             if port is None and thread is None:
                 return
-            delay_ns = self.delay_ns()
+            delay_ns = self.delay_ns(port is None)
             if not delay_ns:
                 self._perform(port, thread)
                 continue
@@ -107,7 +107,7 @@ class Interpreter:
 
     def _choose(self) -> "tuple[Port | None, Thread | None]":
         current = self._current
-        if current is not None and current.ready and current.index:
+        if self.machine.model.by_line and current is not None and current.ready and current.index:
             return None, current
         self._current = None
         places = len(self.threads) + 1
@@ -195,7 +195,7 @@ class Interpreter:
         if thread.spin_sample != now:
             thread.spin_sample, thread.spins = now, 0
         thread.spins += 1
-        if thread.spins > _LOOPS_PER_SAMPLE and thread.trip is None and not self.machine.timing.decode_ns:
+        if thread.spins > _LOOPS_PER_SAMPLE and thread.trip is None and self.machine.instant_programs:
             thread.trip, thread.resting = at_sample(now + 1), True
 
     def _breaks(self, thread: Thread) -> bool:
@@ -208,7 +208,7 @@ class Interpreter:
 
     def _failed(self, thread: Thread, place: tuple[int, int], code: int) -> None:
         machine = self.machine
-        machine.error_code = code
+        machine.fail(code)
         self.error_line, self.error_thread, self.error_index = place[0], thread.number, place[1]
         main = self.threads[0]
         handler = machine.program.labels.get("CMDERR")
@@ -220,7 +220,7 @@ class Interpreter:
                 self.tire(main)
                 return
             except CommandError as overflow:
-                machine.error_code = overflow.code
+                machine.fail(overflow.code)
                 thread = main
         thread.halt()
         machine.ports.message(f"?{place[0]:03d} {machine.program.lines[place[0]]}\r\n")
@@ -234,7 +234,7 @@ class Interpreter:
         try:
             main.call(label, event=name)
         except CommandError as error:
-            self.machine.error_code = error.code
+            self.machine.fail(error.code)
             return False
         self.tire(main)
         return True

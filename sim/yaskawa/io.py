@@ -1,60 +1,75 @@
-"""Inputs and outputs (L390-L490, L561-L568)."""
+"""Inputs and outputs (SMC-4000: L390-L490, L561-L568)."""
 
 from collections.abc import Callable
 
+from sim.yaskawa import fixed
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.world import World
 
-POINTS = 8
+BYTE = 8
 MODBUS = 1000
 """Numbers from here on are points of Modbus devices (L1863)."""
+_VOLTS_RANGE = 10.0
+_VOLTS_STEP = 20.0 / (1 << 14)
 
 
 class Points:
-    """Eight inputs and eight outputs; Modbus points have no device behind them here."""
+    """Digital inputs and outputs by number, analog inputs. missing: outputs that have a number but no terminal."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, outputs: int, *, modbus: bool, missing: frozenset[int] = frozenset()) -> None:
         self.world = world
         self.outputs = 0
         self.listeners: list[Callable[[int, bool], None]] = []
+        self.count = outputs
+        self._modbus = modbus
+        self._real = sum(1 << number for number in range(outputs) if number + 1 not in missing)
 
-    def input_byte(self) -> int:
-        """`TI`: bit 0 is input 1; 1 is high."""
-        return sum(1 << number for number, level in enumerate(self.world.inputs) if level)
+    def input_byte(self, bank: int = 0) -> int:
+        """`TI`: bit 0 is the bank's first input; 1 is high."""
+        levels = self.world.inputs[bank * BYTE : (bank + 1) * BYTE]
+        return sum(1 << number for number, level in enumerate(levels) if level)
 
     def read_input(self, number: int) -> int:
         """`@IN[n]`."""
-        if number >= MODBUS:
-            raise CommandError(126)
-        if not 1 <= number <= POINTS:
+        self._refuse_modbus(number)
+        if not 1 <= number <= len(self.world.inputs):
             raise CommandError(56)
         return int(self.world.inputs[number - 1])
 
     def read_output(self, number: int) -> int:
         """`@OUT[n]`."""
-        if number >= MODBUS:
-            raise CommandError(126)
-        if not 1 <= number <= POINTS:
+        self._refuse_modbus(number)
+        if not 1 <= number <= self.count:
             raise CommandError(56)
         return self.outputs >> (number - 1) & 1
 
     def read_analog(self, number: int) -> int:
-        """`@AN[n]`: there is no analog input on board (D72)."""
-        return 0
+        """`@AN[n]`: volts, in steps of 14 bits over +/-10 V; without analog inputs on board always 0 (D72)."""
+        analog = self.world.analog
+        if not analog:
+            return 0
+        if not 1 <= number <= len(analog):
+            raise CommandError(56)
+        volts = max(min(analog[number - 1], _VOLTS_RANGE - _VOLTS_STEP), -_VOLTS_RANGE)
+        return fixed.of(round(volts / _VOLTS_STEP) * _VOLTS_STEP)
 
     def set_output(self, number: int, level: bool) -> None:
         """`SB`, `CB`, `OB`."""
-        if number >= MODBUS:
-            raise CommandError(126)
-        if not 1 <= number <= POINTS:
+        self._refuse_modbus(number)
+        if not 1 <= number <= self.count:
             raise CommandError(6)
         bit = 1 << (number - 1)
         self.set_all(self.outputs | bit if level else self.outputs & ~bit)
 
     def set_all(self, outputs: int) -> None:
         """`OP`: tells the listeners about every output that changes."""
+        outputs &= self._real
         changed, self.outputs = self.outputs ^ outputs, outputs
-        for number in range(POINTS):
+        for number in range(self.count):
             if changed >> number & 1:
                 for listener in self.listeners:
                     listener(number + 1, bool(outputs >> number & 1))
+
+    def _refuse_modbus(self, number: int) -> None:
+        if self._modbus and number >= MODBUS:
+            raise CommandError(126)

@@ -1,16 +1,15 @@
 """One controller of the family, whatever its model: state, time, reset, and the order of what happens in an event."""
 
 import random
-from collections.abc import Callable
 from math import inf
 
 from orchestrator.clock.base import Clock, Timer
 from sim.core.controller import Timing
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import LETTERS
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.data import Data
+from sim.yaskawa.entry import OperatorEntry
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.events import Events
 from sim.yaskawa.formats import Format, Layout
@@ -20,13 +19,14 @@ from sim.yaskawa.memory import Memory
 from sim.yaskawa.model import Model
 from sim.yaskawa.motion import MotionControl
 from sim.yaskawa.options import Options
-from sim.yaskawa.parameters import PARAMETERS
 from sim.yaskawa.ports import Port, Ports
 from sim.yaskawa.program import Program
 from sim.yaskawa.recorder import Recorder
-from sim.yaskawa.timebase import TIME_WRAP, Timebase
+from sim.yaskawa.timebase import NEVER_NS, TIME_WRAP, Timebase
 from sim.yaskawa.world import World
 
+_LATCHES = {**{number: number - 1 for number in range(1, 5)}, **{number: number - 5 for number in range(9, 13)}}
+"""For each input that latches a position: the number of the axis (SMC-2000: L7105)."""
 _AXIS_NUMBERS = {0: "X", 1: "Y", 2: "Z", 3: "W", 8: "S", 9: "T", 10: "N"}
 _MARKED, _PLAIN = 1, 2
 
@@ -42,19 +42,19 @@ class Machine:
         self.timing = timing
         self.timebase = Timebase(clock, oscillator)
         self.world = World(
+            inputs=[True] * options.inputs,
+            analog=[0.0] * options.analog,
             home_edge=dict(options.home_edge),
             index_every=dict(options.index_every),
             travel=dict(options.travel),
         )
         self.question_crlf = options.question_crlf
-        self.strict_packets = options.strict_packets
         self.powered = True
         self._random = random.Random(seed)
-        self.letters = LETTERS[: options.axes]
-        self.io = Points(self.world)
+        self.letters = model.letters[: options.axis_count]
+        self.io = Points(self.world, options.outputs, modbus=bool(model.handles), missing=options.absent_outputs)
         self.memory = Memory(self)
         self.ports = Ports(self)
-        self.ports.first_handle = options.handle or ""
         self.motion = self._new_motion()
         self.interpreter = Interpreter(self, self._delay_ns)
         self.events = Events(self)
@@ -64,16 +64,23 @@ class Machine:
         self.memory.restore()
 
     def _new_motion(self) -> MotionControl:
-        return MotionControl(self.timebase, self.world, self.letters, lambda: self.events.met_limit())
+        figures = self.model.figures
+        return MotionControl(self.timebase, self.world, self.letters, figures, lambda: self.events.met_limit())
 
-    def _delay_ns(self) -> int:
+    def _delay_ns(self, program: bool) -> int:
         spread_ns = self.timing.spread_ns
-        return self.timing.decode_ns + (self._random.randrange(spread_ns + 1) if spread_ns else 0)
+        spent_ns = self.timing.decode_ns + (self._random.randrange(spread_ns + 1) if spread_ns else 0)
+        return spent_ns + self.options.program_ns if program else spent_ns
+
+    @property
+    def instant_programs(self) -> bool:
+        """Whether a program's command takes no time."""
+        return not (self.timing.decode_ns or self.options.program_ns)
 
     def _clear(self) -> None:
         """Volatile state, and parameters at their defaults."""
-        self.data = Data()
-        self.program = Program()
+        self.data = Data(self.model.room)
+        self.program = Program(self.model.room)
         self.recorder = Recorder(self)
         self.layout = Layout(False, self.options.sign_column)
         self.position_format = Format(10, 0)
@@ -89,14 +96,17 @@ class Machine:
         self.system_letter = "S"
         self.designators: dict[str, str] = {}
         self.locked = 0
-        self.serial_values: dict[str, int] = {"P1CD": fixed.whole(-1), "P1CH": 0, "P1NM": 0, "P1ST": 0}
-        self._input_length = 0
+        self.entries = {name: OperatorEntry() for name in ("S", "2")}
+        self.selected: bool | None = None
+        """Whether `%A` has selected this unit; None while no unit has been."""
+        self.forwards = False
+        """`CC` has made port 2 part of a daisy chain."""
+        self.last_encoder = 0
+        """Number of the axis whose absolute encoder was read last."""
         self.responses: dict[str, list[int]] = {}
         self.response_state: dict[str, int] = {}
         for axis in self.motion.axes.values():
-            axis.registers = {name: parameter.default for name, parameter in PARAMETERS.items()}
-            axis.registers.update(self.model.defaults)
-            axis.registers.update({"PR": 0, "PA": 0})
+            axis.registers = {name: parameter.default for name, parameter in self.model.parameters.items()}
 
     # Time
 
@@ -134,11 +144,22 @@ class Machine:
             self._timer = None
         self._timer_sample = due
         if due != inf:
-            self._timer = self.timebase.clock.call_at_ns(self.timebase.true_ns(int(max(due, now))), self._wake)
+            due_ns = self.timebase.true_ns(int(max(due, now)))
+            if due_ns != NEVER_NS:
+                self._timer = self.timebase.clock.call_at_ns(due_ns, self._wake)
 
     def _wake(self) -> None:
         self._timer = None
         self._timer_sample = inf
+        self.settle()
+        self.go_on()
+
+    def wire_clock(self, source: "Machine") -> None:
+        """A wire brings the sample clock of `source`; it counts while `TM` is negative."""
+        self.timebase.wire(source.timebase, self._clock_changed)
+
+    def _clock_changed(self) -> None:
+        self.rescheduled()
         self.settle()
         self.go_on()
 
@@ -189,6 +210,7 @@ class Machine:
             self.interpreter.reset()
             self.rescheduled()
             self.io.set_all(0)
+            self.timebase.halt()
             self.powered = False
         else:
             self.powered = True
@@ -233,8 +255,9 @@ class Machine:
 
     def _input_changed(self, number: int, level: bool) -> None:
         now = self.now()
-        if number <= len(self.letters) and level == (self.polarity[2] > 0):
-            axis = self.motion.real[number - 1]
+        latch = _LATCHES.get(number, len(self.letters))
+        if latch < len(self.letters) and level == (self.polarity[2] > 0):
+            axis = self.motion.real[latch]
             if axis.latch_armed:
                 self.motion.latch(axis, now)
         if number > 4 and self.polarity[3] and not level and number - 5 < len(self.letters):
@@ -281,40 +304,57 @@ class Machine:
         """An integer in a format of its own, e.g. `TI` in 3.0."""
         return Format(digits, 0).write(number * fixed.ONE, self.layout)
 
+    def show(self, op: str, raw: int) -> str:
+        """The answer to `op?` of a command that is no parameter of axes."""
+        form = self.model.formats.get(op, self.variable_format)
+        return (form or self.position_format).write(raw, self.layout)
+
+    def fail(self, code: int) -> None:
+        """A command is refused: what `TC` will tell."""
+        self.error_code = self.model.codes.get(code, code)
+
+    @property
+    def revision(self) -> str:
+        """What ctrl-R ctrl-V tells."""
+        return self.model.revision.format(options=self.options)
+
     @property
     def mark_unsolicited(self) -> bool:
         return self.unsolicited_mode == _MARKED
 
-    def locks(self, op: str, lock: str) -> bool:
-        """Whether `LC` forbids a command (L6735)."""
-        return bool(self.locked) and (str(self.locked) in lock or (self.locked == 2 and op != "LC"))
+    def locks(self, op: str, lock: str, text: str) -> bool:
+        """Whether `LC` forbids a command from a port (SMC-4000: L6735, SMC-2000: L9876)."""
+        return bool(self.locked) and self.model.locks(self.locked, op, lock, text)
 
     # Serial input of programs
 
     def serial_arrived(self, text: str) -> None:
-        """Remember the last character for `P1CH` (L12105)."""
-        self.serial_values["P1CH"] = fixed.whole(ord(text[-1]) if text else 0)
-        self.serial_values["P1CD"] = fixed.whole(1)
+        """Remember the last character for `P1CH` (SMC-4000: L12105)."""
+        self.entries["S"].notice(text)
+
+    def keyword(self, name: str) -> int:
+        """`P1CH`, `P2NM`, …: what came in on a serial port."""
+        return self.entries["S" if name[1] == "1" else "2"].read(name[2:])
 
     def take_input(self, port: Port, line: str) -> bool:
-        """Whether `line` answers an IN (L6101)."""
+        """Whether `line` answers an IN (SMC-4000: L6101, SMC-2000: L9352)."""
         main = self.interpreter.threads[0]
-        if port.kind != "serial" or not main.input_for:
+        if port.kind != "serial" or not main.input_for or main.input_port != port.name:
             return False
         name, main.input_for = main.input_for, ""
         text = line.split(";")[0]
         if text:
             try:
-                self.data.assign(name, self._input_value(text))
+                self.data.assign(name, self._input_value(text, main.input_length))
             except (ValueError, CommandError):
-                self.error_code = 83
+                self.fail(83)
         return True
 
-    def _input_value(self, text: str) -> int:
+    def _input_value(self, text: str, length: int) -> int:
+        """A number, or with `length` (of `{Sn}`), or when it is none, a string."""
         try:
-            return fixed.literal(text.removeprefix("-")) * (-1 if text.startswith("-") else 1)
+            if not length:
+                return fixed.literal(text.removeprefix("-")) * (-1 if text.startswith("-") else 1)
         except ValueError:
-            return fixed.of_string(text[: fixed.STRING_LENGTH])
-
-
-Builder = Callable[[Clock], Machine]
+            pass
+        return fixed.of_string(text[: length or fixed.STRING_LENGTH])

@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
 
-BURNED = frozenset(
-    "AC BL CE DC DV EM ER FA FL GR IL IT KD KI KP KS MT NB NF NZ OE OF SP TL TW".split()  # noqa: SIM905
-)
 _SCALARS = (
     "layout position_format variable_format echo unsolicited_port unsolicited_mode address retry_time".split()  # noqa: SIM905
 )
@@ -19,12 +16,11 @@ class Memory:
 
     def __init__(self, machine: "Machine") -> None:
         self.machine = machine
-        self.password = ""
         self.erase()
 
     def erase(self) -> None:
         """Master reset: nothing is burned."""
-        self.password = ""
+        self.password = self.machine.model.password
         self._lock = 0
         self._registers: dict[str, dict[str, int]] = {}
         self._scalars: dict[str, object] = {}
@@ -44,7 +40,7 @@ class Memory:
         """`BN`."""
         machine = self.machine
         for axis in machine.motion.all_axes():
-            self._registers[axis.name] = {name: axis.registers[name] for name in BURNED if name in axis.registers}
+            self._registers[axis.name] = {name: axis.registers[name] for name in machine.model.burned}
             self._motors[axis.name] = axis.motor_off
             self._gears[axis.name] = (axis.gear.source, axis.gear.gantry)
         self._scalars = {name: getattr(machine, name) for name in _SCALARS}
@@ -75,7 +71,7 @@ class Memory:
         machine = self.machine
         for axis in machine.motion.all_axes():
             axis.registers.update(self._registers.get(axis.name, {}))
-            if not axis.virtual and not self._motors.get(axis.name, True):
+            if not axis.virtual and not self._motors.get(axis.name, not machine.options.servo_on):
                 machine.motion.motor_on(axis, machine.now())
             source, axis.gear.gantry = self._gears.get(axis.name, ("", False))
             if source:

@@ -1,29 +1,112 @@
 """What tells the models of the family apart."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
+from sim.yaskawa.data import Room
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.expressions import Evaluator
+from sim.yaskawa.formats import Format
+from sim.yaskawa.parameters import Parameter
+from sim.yaskawa.ports import Port
 from sim.yaskawa.statements import Command
 
 SYSTEM_OPS = frozenset(("VA", "VD", "VS", "VR", "VT", "AV"))
 HANDLE_OPS = frozenset(("IH", "SA", "MB", "HS"))
 
 
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Figures of motion that differ: speeds in counts/s, accelerations in counts/s^2, sizes in entries.
+
+    fastest: of `<n` and `>m` behind a segment. vector: VS, VA and VD after a master reset. home_speed: of the
+    second and third stage of HM. cam_points: entries of the table of ET. contour_step: largest increment of CD.
+    """
+
+    fastest: tuple[int, int]
+    vector: tuple[int, int, int]
+    home_speed: int
+    cam_points: int
+    contour_step: int = 32767
+    virtual_axis: bool = False
+    systems: str = "S"
+
+
+@dataclass(frozen=True, slots=True)
+class Burning:
+    """How long BN, BP and BV take, seconds; and which of them are refused in motion."""
+
+    seconds: dict[str, int]
+    at_rest: frozenset[str] = frozenset()
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One model: its name, what `^R^U` tells, its ports, its commands, and the time bases it takes (`TM`)."""
+    """One model: what it is called and what it has.
+
+    commands, operands: its op-codes. functions: its `@…`. texts: what `TC1` tells of each error code. ports: names,
+    the usual one first. letters: of all axes that it can have, by number. handles: of Ethernet. threads: how many.
+    by_line: a thread gives way after a line, not after a command. comments: what a comment begins with; comment_end:
+    what ends it, empty for the end of the line. designators: there are `~a`. running_bit: of TB while a program runs.
+    time_bases: for a number of axes the least and greatest `TM` and its step, nominal microseconds. password: of LC
+    after a master reset; locks: whether LC at a level forbids an op-code with its lock and its text.
+    """
 
     name: str
     revision: str
     ports: tuple[str, ...]
     commands: dict[str, Command]
-    handles: str = "ABCDEFGH"
-    time_bases: tuple[int, int, int] = (250, 20000, 125)
-    """Least and greatest `TM`, and its step, in nominal microseconds."""
-    defaults: dict[str, int] = field(default_factory=dict[str, int])
-    """Parameters of axes that differ from the family's, raw."""
+    operands: dict[str, Callable[[str], Evaluator]]
+    parameters: dict[str, Parameter]
+    functions: frozenset[str]
+    texts: dict[int, str]
+    letters: str
+    figures: Figures
+    room: Room
+    threads: int
+    time_bases: Callable[[int], tuple[int, int, int]]
+    burning: Burning
+    locks: Callable[[int, str, str, str], bool]
+    password: str = ""
+    serial_port: type[Port] = Port
+    second_port: type[Port] = Port
+    handles: str = ""
+    by_line: bool = True
+    comments: tuple[str, ...] = ("NO ",)
+    comment_end: str = ""
+    designators: bool = False
+    running_bit: int = 7
+    switch_levels: bool = True
+    """TS tells the levels of the limit switches; otherwise whether they are inactive."""
+    speed_digits: int = 8
+    """Digits of `TV`."""
+    keywords: tuple[str, ...] = ("P1CD", "P1CH", "P1NM", "P1ST")
+    """Names of what came in on serial ports."""
+    burned: frozenset[str] = field(default_factory=frozenset[str])
+    """Parameters of axes that BN keeps."""
+    formats: dict[str, Format | None] = field(default_factory=dict[str, Format | None])
+    """Of the answers to `XX ?` of commands that are no parameters of axes: a format, None for PF; VF when absent."""
+    codes: dict[int, int] = field(default_factory=dict[int, int])
+    """For codes of the family that this model does not have: what it tells instead."""
+
+    @cached_property
+    def _operands(self) -> dict[str, Evaluator]:
+        return {}
+
+    def operand(self, text: str) -> Evaluator:
+        """The function that reads `_XX…`; 58 when there is no such operand."""
+        found = self._operands.get(text)
+        if found is None:
+            entry = self.operands.get(text[1:3])
+            if entry is None:
+                raise CommandError(58)
+            found = self._operands[text] = entry(text[3:])
+        return found
 
     def suffixes(self, op: str) -> str:
         """Letters that may follow `op` in `XXa=value` (axes in their X Y Z W names)."""
         if op in HANDLE_OPS:
             return "XYZWABCDEFGHST"
-        return "XYZWNST" if op in SYSTEM_OPS else "XYZWN"
+        axes = self.letters + "N" if self.figures.virtual_axis else self.letters
+        return axes + self.figures.systems if op in SYSTEM_OPS else axes

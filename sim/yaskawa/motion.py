@@ -11,6 +11,7 @@ from sim.yaskawa.contour import Contour
 from sim.yaskawa.coordinated import Coordinated
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.homing import Homing
+from sim.yaskawa.model import Figures
 from sim.yaskawa.profile import SPEED_UNIT, Profile, first_sample, plan_jog, plan_move, plan_stop
 from sim.yaskawa.sequence import System
 from sim.yaskawa.timebase import Timebase
@@ -23,28 +24,31 @@ NO_FORWARD, NO_REVERSE = 2147483647, -2147483648
 class MotionControl:
     """Axes, coordinate systems, contour and cam. Instants are samples; `now` is the sample that runs."""
 
-    def __init__(self, timebase: Timebase, world: World, letters: str, on_limit: Callable[[], None]) -> None:
+    def __init__(
+        self, timebase: Timebase, world: World, letters: str, figures: Figures, on_limit: Callable[[], None]
+    ) -> None:
         self.timebase = timebase
         self.world = world
         self.on_limit = on_limit
         self.axes: dict[str, Axis] = {name: Axis(name, index) for index, name in enumerate(letters)}
-        self.axes["N"] = Axis("N", len(letters))
-        self.axes["N"].motor_off, self.axes["N"].frozen = False, None
-        self.real = tuple(self.axes[name] for name in letters)
-        self.systems = {"S": System("S"), "T": System("T")}
+        self.real = tuple(self.axes.values())
+        if figures.virtual_axis:
+            self.axes["N"] = Axis("N", len(letters))
+            self.axes["N"].motor_off, self.axes["N"].frozen = False, None
+        self.systems = {name: System(name, figures.vector) for name in figures.systems}
         self.contour: Contour | None = None
         self.contour_interval = 0
         self.contour_late = False
-        self.cam = Cam()
+        self.cam = Cam(figures.cam_points)
         self.motions: list[Motion] = []
-        self.homing = Homing(self)
+        self.homing = Homing(self, figures.home_speed)
         self.coordinated = Coordinated(self)
         self.abort_input = False
 
     # What moves
 
     def all_axes(self) -> tuple[Axis, ...]:
-        return (*self.real, self.axes["N"])
+        return tuple(self.axes.values())
 
     def active(self) -> bool:
         """Whether anything is commanded to move."""
@@ -244,7 +248,7 @@ class MotionControl:
         axis.latched = axis.actual(now)
         distance = fixed.truncated(axis.registers["LT"])
         profile = axis.profile
-        if not distance or profile is None or axis.mode not in ("move", "jog") or axis.stopping:
+        if distance in (0, NO_FORWARD) or profile is None or axis.mode not in ("move", "jog") or axis.stopping:
             return
         at = self.timebase.next_sample()
         rate, down = profile.velocity(at), axis.acceleration("DC")

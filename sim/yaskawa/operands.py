@@ -12,23 +12,15 @@ from sim.yaskawa.commands_gear import waiting
 from sim.yaskawa.commands_sequence import OPERAND_READERS, system_of
 from sim.yaskawa.commands_system import HANDLES, UNUSED
 from sim.yaskawa.context import Context
-from sim.yaskawa.data import ARRAYS, VARIABLES
+from sim.yaskawa.data import ARRAYS
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator
-from sim.yaskawa.parameters import PARAMETERS
-from sim.yaskawa.program import LABELS
-from sim.yaskawa.registry import OPERANDS, operand
+from sim.yaskawa.parameters import SMC4000
+from sim.yaskawa.registry import operand
 from sim.yaskawa.sequence import System
+from sim.yaskawa.smc2000_parameters import SMC2000
 
 _SPEED_TO_REGISTER = 1024
-
-
-def compile_operand(text: str) -> Evaluator:
-    """The function that reads `_XX…`; 58 when there is no such operand."""
-    entry = OPERANDS.get(text[1:3])
-    if entry is None:
-        raise CommandError(58)
-    return entry(text[3:])
 
 
 def _axis_name(suffix: str) -> str:
@@ -57,7 +49,7 @@ def _register(op: str) -> None:
     _of_axis(op, read, raw=True)
 
 
-for _op in PARAMETERS:
+for _op in SMC4000.keys() | SMC2000.keys():
     if _op not in ("PA", "JG", "PR"):
         _register(_op)
 _register("PR")
@@ -174,7 +166,7 @@ _of_machine("CF", lambda c: ord(c.machine.unsolicited_port))
 _of_machine("CM", full)
 _of_machine("CW", lambda c: c.machine.unsolicited_mode)
 _of_machine("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
-_of_machine("DL", lambda c: LABELS - len(c.machine.program.labels))
+_of_machine("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
 _of_machine("DM", lambda c: c.machine.data.free_elements())
 _of_machine("DT", lambda c: c.machine.motion.contour_interval)
 _of_machine("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
@@ -198,7 +190,7 @@ _of_machine("TC", lambda c: c.machine.error_code, ("", "0", "1"))
 _of_machine("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
 _of_machine("TM", lambda c: c.machine.timebase.period_us)
 _of_machine("TR", lambda c: int(c.machine.interpreter.trace))
-_of_machine("UL", lambda c: VARIABLES - len(c.machine.data.variables))
+_of_machine("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
 
 
 def _line_count(c: Context) -> int:

@@ -1,24 +1,25 @@
-"""How a simulated SMC-4000 is built. Every open point of the manual that hardware may decide otherwise is a switch."""
+"""How a simulated controller is built. Every open point of the manuals that hardware may decide otherwise is a switch.
+
+`D…` are the decisions of section 16 in `docs/controllers/smc4000.md` (`smc2000.md` for the SMC-2000).
+"""
 
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+_BYTE = 8
+_ABSENT_OUTPUTS = frozenset((24, 32, 40, 48, 56, 64))
+
 
 class Options(BaseModel):
-    """Options of the SMC-4000. Places are physical positions in counts, 0 at power-up."""
+    """Options of every model. Places are physical positions in counts, 0 at power-up."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    axes: Literal[2, 4] = 4
-    link: Literal["tcp", "udp", "serial"] = "tcp"
-    """The port that is usual for this unit: the first of `ports`."""
     echo: bool = True
-    """Power-up state of `EO`; has no effect on Ethernet (L4836)."""
-    handle: Literal["A", "B", "C", "D", "E", "F", "G", "H"] | None = None
-    """The Ethernet handle of the first connection."""
+    """Power-up state of `EO`."""
     address: int = 0
-    """IP address, as the signed 32-bit number of `_IA0`."""
+    """SMC-4000: IP address, as the signed 32-bit number of `_IA0`. SMC-2000: address in the daisy chain."""
     serial_number: int = Field(default=1, ge=1, le=65535)
     home_edge: dict[str, int] = Field(default_factory=dict[str, int])
     """Per axis: the home input is low below this place and high from it on."""
@@ -32,13 +33,148 @@ class Options(BaseModel):
     """D2: a positive number has a blank where the sign would be."""
     late_contour_error: bool = False
     """D13: a late CD answers `?` and 42."""
-    qr_axis_bytes: Literal[26, 28] = 26
-    """D28: bytes of an axis block of `QR`."""
     st_halts_programs: bool = True
     """D35: `ST` without letters from a port halts all threads."""
-    strict_packets: bool = False
-    """D39: what a packet holds behind its last CR is dropped."""
     av_absolute: bool = False
     """D74: AV counts from the start of the sequence."""
     burn_takes_time: bool = False
-    """D56: BN, BP and BV take 1, 3 and 1 s before they answer."""
+    """D56: BN, BP and BV take their documented times before they answer."""
+
+    @property
+    def axis_count(self) -> int:
+        """Real axes."""
+        raise NotImplementedError
+
+    @property
+    def inputs(self) -> int:
+        """Digital inputs."""
+        return _BYTE
+
+    @property
+    def outputs(self) -> int:
+        """Digital outputs."""
+        return _BYTE
+
+    @property
+    def analog(self) -> int:
+        """Analog inputs."""
+        return 0
+
+    @property
+    def absent_outputs(self) -> frozenset[int]:
+        """Outputs that have a number but no terminal."""
+        return frozenset()
+
+    @property
+    def channels(self) -> int:
+        """Arrays that RA can record into at once."""
+        return 8
+
+    @property
+    def servo_on(self) -> bool:
+        """Whether motors are on after a master reset."""
+        return False
+
+    @property
+    def program_ns(self) -> int:
+        """What a command of a program takes beyond the firmware time that was asked for, ns."""
+        return 0
+
+
+class Smc4000Options(Options):
+    """Options of the SMC-4000."""
+
+    axes: Literal[2, 4] = 4
+    link: Literal["tcp", "udp", "serial"] = "tcp"
+    """The port that is usual for this unit: the first of `ports`."""
+    handle: Literal["A", "B", "C", "D", "E", "F", "G", "H"] | None = None
+    """The Ethernet handle of the first connection."""
+    qr_axis_bytes: Literal[26, 28] = 26
+    """D28: bytes of an axis block of `QR`."""
+    strict_packets: bool = False
+    """D39: what a packet holds behind its last CR is dropped."""
+
+    @property
+    def axis_count(self) -> int:
+        return self.axes
+
+
+class Unit(BaseModel):
+    """One controller of a daisy chain."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    address: int = Field(ge=0, le=7)
+    axes: Literal[1, 2, 4, 8] = 4
+    drift_ppm: float | None = None
+    """Its crystal's; None: the one of the chain's oscillator."""
+    external_clock: bool = False
+    """`TM -1` is burned: it takes its samples from the wire of `shared_clock`."""
+
+
+class Smc2000Options(Options):
+    """Options of the SMC-2000. Numbers of decisions are those of `docs/controllers/smc2000.md`."""
+
+    axes: Literal[1, 2, 4, 8] = 4
+    address: int = Field(default=0, ge=0, le=7)
+    chained: bool = False
+    """Part of a daisy chain: hears nothing but `%A` and `!` before it is addressed, and forwards from power-up on."""
+    extended_io: bool = False
+    """Inputs 25 to 64 and outputs 17 to 63 (L13398)."""
+    firmware: Literal["2.0g", "D150N19p"] = "2.0g"
+    motors_on: bool = True
+    """D35: servos are on after a master reset."""
+    stepper_jumpers: bool = True
+    """The jumpers that stepper motors need are installed (L794); without them `MT 2` is refused with 96."""
+    absolute_encoders: dict[str, int] = Field(default_factory=dict[str, int])
+    """Per axis: what `AE` reads, counts; empty without the W option."""
+    command_s: float = Field(default=0.0, ge=0.0)
+    """D11: what a command of a program takes, seconds."""
+
+    @property
+    def axis_count(self) -> int:
+        return self.axes
+
+    @property
+    def inputs(self) -> int:
+        return 64 if self.extended_io else 24 if self.axes == 8 else _BYTE
+
+    @property
+    def outputs(self) -> int:
+        return 64 if self.extended_io else 16 if self.axes == 8 else _BYTE
+
+    @property
+    def analog(self) -> int:
+        return 7
+
+    @property
+    def absent_outputs(self) -> frozenset[int]:
+        return _ABSENT_OUTPUTS if self.extended_io else frozenset()
+
+    @property
+    def channels(self) -> int:
+        return 8 if self.axes == 8 else 4
+
+    @property
+    def servo_on(self) -> bool:
+        return self.motors_on
+
+    @property
+    def program_ns(self) -> int:
+        return round(self.command_s * 1_000_000_000)
+
+
+class ChainOptions(BaseModel):
+    """Options of a daisy chain of SMC-2000 behind one serial port; `chain` lists the units, the host's first."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    chain: list[Unit] = Field(min_length=1, max_length=8)
+    echo: bool = True
+    """Power-up state of `EO` of all units."""
+    hop_ns: int = Field(default=520_833, ge=0)
+    """D10: store and forward of each unit; one character at 19200 baud."""
+    shared_clock: bool = False
+    """The first unit's sample clock is wired to the others (L975)."""
+    options: dict[str, object] = Field(default_factory=dict[str, object])
+    """Further options of all units."""

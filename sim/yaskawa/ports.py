@@ -67,7 +67,7 @@ class Port:
                     self.emit(text.replace("\x12", "").replace("\r", "\r\n"))
             self._packets.append((text, self._packet))
             self.feed()
-        if machine.strict_packets and self.kind != "serial":
+        if self.owner.strict_packets and self.kind != "serial":
             self._line = ""
         machine.go_on()
 
@@ -99,7 +99,7 @@ class Port:
             if character == "\x13":
                 self.machine.master_reset(self)
             elif character in "\x15\x16":
-                self.emit(f"{self.machine.model.revision}\r\n:")
+                self.emit(f"{self.machine.revision}\r\n:")
             return
         if character == "\x12":
             self._control = True
@@ -172,7 +172,7 @@ class Port:
                     self.trip = outcome
             elif self.download is None and self.open:
                 if isinstance(outcome, Raw):
-                    self.emit(f"{outcome}:")
+                    self.answer(f"{outcome}:")
                 else:
                     self.accept(outcome)
         if self._packets:
@@ -190,12 +190,20 @@ class Port:
 
     def accept(self, data: str | None) -> None:
         """Answer a valid command, with data or without."""
-        self.emit(":" if data is None else f"{data}\r\n:")
+        self.answer(":" if data is None else f"{data}\r\n:")
 
     def refuse(self, code: int) -> None:
         """Answer an invalid command."""
-        self.machine.error_code = code
-        self.emit("?\r\n" if self.machine.question_crlf else "?")
+        self.machine.fail(code)
+        self.answer("?\r\n" if self.machine.question_crlf else "?")
+
+    def answer(self, text: str) -> None:
+        """The reply to a command."""
+        self.emit(text)
+
+    def unsolicited(self, text: str) -> None:
+        """Text that nobody on this port has asked for."""
+        self.emit(text)
 
     def emit(self, text: str) -> None:
         if self.open and text:
@@ -223,6 +231,8 @@ class Ports:
     def __init__(self, machine: "Machine") -> None:
         self.machine = machine
         self.serial: Port | None = None
+        self.second: Port | None = None
+        self.strict_packets = False
         self.handles: dict[str, Port] = {}
         self.first_handle = ""
         self.outgoing: dict[str, tuple[int, int, int]] = {}
@@ -243,7 +253,11 @@ class Ports:
         if port == "serial":
             if self.serial is not None:
                 raise PortRefused("the serial port is in use")
-            self.serial = opened = Port(self, "S", port, send, closed)
+            self.serial = opened = self.machine.model.serial_port(self, "S", port, send, closed)
+        elif port == "serial2":
+            if self.second is not None:
+                raise PortRefused("the second serial port is in use")
+            self.second = opened = self.machine.model.second_port(self, "2", "serial", send, closed)
         else:
             self._forget_silent()
             name = self.first_handle or next(iter(self.free_handles()), "")
@@ -262,6 +276,8 @@ class Ports:
         """Forget a connection; a lost TCP connection may call #TCPERR."""
         if port is self.serial:
             self.serial = None
+        elif port is self.second:
+            self.second = None
         elif self.handles.get(port.name) is port:
             del self.handles[port.name]
             if port.kind == "tcp" and self.machine.powered:
@@ -296,11 +312,11 @@ class Ports:
 
     def tell(self, name: str, text: str) -> None:
         """Text for one port; it is lost when the port is not open."""
-        port = self.serial if name == "S" else self.handles.get(name)
+        port = self.serial if name == "S" else self.second if name == "2" else self.handles.get(name)
         if port is not None:
             if self.machine.mark_unsolicited:
                 text = "".join(chr(ord(character) | 0x80) for character in text)
-            port.emit(text)
+            port.unsolicited(text)
 
     def _forget_silent(self) -> None:
         now_ns = self.machine.timebase.clock.now_ns()
@@ -309,7 +325,7 @@ class Ports:
                 port.hang_up()
 
     def _refresh(self) -> None:
-        opened = [] if self.serial is None else [self.serial]
+        opened = [port for port in (self.serial, self.second) if port is not None]
         self._all = (*opened, *self.handles.values())
 
 

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field
 
+from sim.yaskawa.data import Room
 from sim.yaskawa.errors import CommandError
 
-LINES = 2000
 LINE_LENGTH = 80
-LABELS = 510
 LABEL_LENGTH = 7
 
 
@@ -22,6 +21,7 @@ def label_of(line: str) -> str | None:
 class Program:
     """The program in memory; lines are numbered from 0."""
 
+    room: Room
     lines: list[str] = field(default_factory=list[str])
     labels: dict[str, int] = field(default_factory=dict[str, int])
 
@@ -31,7 +31,7 @@ class Program:
 
     def insert(self, at: int, lines: list[str]) -> None:
         """Put lines in before line `at`; refused (60, 61, 62), the memory stays as it was."""
-        if len(self.lines) + len(lines) > LINES or any(len(line) > LINE_LENGTH for line in lines):
+        if len(self.lines) + len(lines) > self.room.lines or any(len(line) > LINE_LENGTH for line in lines):
             raise CommandError(60)
         merged = self.lines[:at] + lines + self.lines[at:]
         labels: dict[str, int] = {}
@@ -42,7 +42,7 @@ class Program:
             if not 1 <= len(label) <= LABEL_LENGTH or not label[0].isalpha() or label in labels:
                 raise CommandError(61)
             labels[label] = number
-        if len(labels) > LABELS:
+        if len(labels) > self.room.labels:
             raise CommandError(62)
         self.lines, self.labels = merged, labels
 

@@ -10,8 +10,6 @@ from sim.yaskawa.expressions import Evaluator
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
 
-CHANNELS = 8
-
 
 class Recorder:
     """Writes one element of each array every 2^n samples."""

@@ -17,14 +17,12 @@ _KEPT_POINTS = 16
 class System:
     """One coordinate system. Registers in counts/s and counts/s^2; time in samples, `s` in counts along the path."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, registers: tuple[int, int, int]) -> None:
         self.name = name
         self.axes: tuple[str, ...] = ()
         self.tangent: str | None = None
         self.linear = True
-        self.speed = 25000.0
-        self.acceleration = 256000.0
-        self.deceleration = 256000.0
+        self.speed, self.acceleration, self.deceleration = (float(register) for register in registers)
         self.ratio = 1.0
         self.smoothing = 1.0
         self.ellipse = (1.0, 1.0)

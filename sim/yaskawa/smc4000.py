@@ -5,17 +5,52 @@ from collections.abc import Mapping
 from orchestrator.clock.base import Clock
 from sim.core.controller import Timing
 from sim.core.oscillator import Oscillator
+from sim.yaskawa import errors, parameters
 from sim.yaskawa.controller import Bench, Controller
-from sim.yaskawa.dialect import COMMANDS
+from sim.yaskawa.data import Room
+from sim.yaskawa.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.expressions import FUNCTIONS
 from sim.yaskawa.machine import Machine
-from sim.yaskawa.model import Model
-from sim.yaskawa.options import Options
+from sim.yaskawa.model import Burning, Figures, Model
+from sim.yaskawa.options import Smc4000Options
+
+LOCK_ALL = 2
+"""Level of LC at which nothing but LC itself is taken (L6735)."""
+
+
+def _locks(level: int, op: str, lock: str, text: str) -> bool:
+    return str(level) in lock or (level == LOCK_ALL and op != "LC")
+
 
 MODEL = Model(
     name="smc4000",
     revision="SMC4040 Rev 1.0a",
     ports=("tcp", "udp", "serial"),
     commands=COMMANDS,
+    operands=OPERANDS,
+    parameters=parameters.SMC4000,
+    functions=frozenset(FUNCTIONS),
+    texts=errors.SMC4000,
+    letters="XYZW",
+    figures=Figures(
+        fastest=(12_000_000, 8_000_000),
+        vector=(25000, 256000, 256000),
+        home_speed=512,
+        cam_points=1025,
+        virtual_axis=True,
+        systems="ST",
+    ),
+    room=Room(lines=2000, labels=510, variables=510, elements=15000),
+    threads=8,
+    time_bases=lambda axes: (250, 20000, 125),
+    burning=Burning({"BN": 1, "BP": 3, "BV": 1}),
+    locks=_locks,
+    handles="ABCDEFGH",
+    comments=("'", "NO "),
+    designators=True,
+    burned=frozenset(
+        "AC BL CE DC DV EM ER FA FL GR IL IT KD KI KP KS MT NB NF NZ OE OF SP TL TW".split()  # noqa: SIM905
+    ),
 )
 
 
@@ -35,10 +70,12 @@ class Smc4000Simulator:
         timing: Timing | None = None,
         seed: int = 0,
     ) -> Controller:
-        """A powered-up controller. Options are the fields of `Options`; `ValueError` names a wrong one."""
-        chosen = Options.model_validate(dict(options))
+        """A powered-up controller. Options are the fields of `Smc4000Options`; `ValueError` names a wrong one."""
+        chosen = Smc4000Options.model_validate(dict(options))
         machine = Machine(clock, MODEL, chosen, oscillator or Oscillator(), timing or Timing(), seed)
         usual = (chosen.link, *(port for port in MODEL.ports if port != chosen.link))
+        machine.ports.first_handle = chosen.handle or ""
+        machine.ports.strict_packets = chosen.strict_packets
         machine.go_on()
         return Controller(machine, usual)
 

@@ -53,7 +53,7 @@ class Statement:
         """Run it; `CommandError` when it is refused."""
         if self.where != "both" and (self.where == "program") != (c.thread is not None):
             raise CommandError(2 if self.where == "program" else 3)
-        if c.thread is None and c.machine.locks(self.op, self.lock):
+        if c.thread is None and c.machine.locks(self.op, self.lock, self.text):
             raise CommandError(130)
         return self.runner(c)
 
@@ -67,9 +67,9 @@ def without_blanks(text: str) -> str:
     return '"'.join(part if number % 2 else part.replace(" ", "") for number, part in enumerate(text.split('"')))
 
 
-def is_comment(text: str) -> bool:
-    """Whether a statement is a comment, which reaches to the end of its line (L7912)."""
-    return text.startswith(("'", "NO ")) or text == "NO"
+def is_comment(text: str, model: "Model") -> bool:
+    """Whether a statement is a comment (SMC-4000: L7912, SMC-2000: L10567)."""
+    return text.startswith(model.comments) or text == "NO"
 
 
 @lru_cache(maxsize=8192)
@@ -79,9 +79,12 @@ def compile_line(line: str, model: "Model") -> tuple[Statement, ...]:
     rest = line
     while True:
         stripped = rest.lstrip()
-        if is_comment(stripped):
-            statements.append(Statement("NO", stripped, _nothing, quiet=True))
-            break
+        if is_comment(stripped, model):
+            head, found, rest = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
+            statements.append(Statement("NO", head, _nothing, quiet=True))
+            if not found:
+                break
+            continue
         text, found, rest = _cut(rest)
         statements.append(compile_statement(text.strip(), model))
         if not found:
@@ -106,14 +109,14 @@ def compile_statement(text: str, model: "Model") -> Statement:
     if compact.startswith("#"):
         return Statement("#", text, _nothing, where="program", quiet=True)
     for op in ("ELSE", "ENDIF"):
-        if compact == op:
+        if compact == op and op in model.commands:
             command = model.commands[op]
             return Statement(op, text, command.compile(""), command.where, command.lock)
     op = compact[:2]
     try:
         if not _is_spaced_command(text, model) and is_assignment(compact, model):
             return Statement("=", text, _assignment(compact))
-        if compact.startswith("~"):
+        if compact.startswith("~") and model.designators:
             return Statement("~", text, _variable_axis(compact))
         command = model.commands.get(op)
         if command is None:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.trippoints import Trip
 
-THREADS = 8
 STACK = 16
 
 
@@ -41,6 +40,9 @@ class Thread:
     """Held only because it loops without waiting."""
     input_for: str = ""
     """The variable that IN waits for."""
+    input_port: str = "S"
+    input_length: int = 0
+    """Characters of a string that IN takes; 0 for a number."""
 
     @property
     def ready(self) -> bool:

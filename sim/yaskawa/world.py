@@ -9,8 +9,9 @@ from sim.core.controller import LimitSwitch
 class World:
     """What outside changes. Places are physical positions in counts: 0 at power-up, untouched by `DP`."""
 
-    inputs: list[bool] = field(default_factory=lambda: [True] * 8)
-    abort: bool = False
+    inputs: list[bool]
+    analog: list[float] = field(default_factory=list[float])
+    """Volts; empty without analog inputs."""
     limits: dict[str, LimitSwitch] = field(default_factory=dict[str, LimitSwitch])
     home: dict[str, bool] = field(default_factory=dict[str, bool])
     home_edge: dict[str, int] = field(default_factory=dict[str, int])
