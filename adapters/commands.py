@@ -3,6 +3,7 @@
 import asyncio
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pydantic import ValidationError
@@ -10,24 +11,34 @@ from pydantic import ValidationError
 from adapters.condition import Condition
 from adapters.contract import CannotDo, DriverFault
 from adapters.fence import Fence
+from adapters.jogging import Jogging
+from adapters.leases import Leases
 from adapters.member import Member
+from adapters.motors import Motors
 from adapters.presenter import Presenter, explain
+from adapters.referencing import Referencing
 from adapters.seat import Seat
+from adapters.store import Remembered
 from orchestrator.bus.base import RequestRefused, Sample
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.trace import Direction
+from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
     Adopt,
     Adopted,
     Arm,
     Armed,
-    AxesRequest,
     Commit,
+    ConfigureRequest,
     Disarm,
     EnableRequest,
     Fenced,
     Go,
+    HomeReply,
     HomeRequest,
+    JogRequest,
+    LeasedRequest,
+    LeaseRequest,
     OutputRequest,
     Proposal,
     Propose,
@@ -37,9 +48,11 @@ from orchestrator.model.messages import (
     Reply,
     Request,
     Reset,
+    SetPositionRequest,
     Stop,
     TraceReply,
 )
+from orchestrator.model.units import UnitError, parse_quantity
 
 ANSWERS_KEPT = 256
 
@@ -55,40 +68,53 @@ class UnitActions(Protocol):
         """Stop the controller, past everything else."""
         ...
 
+    def reconfigure(self, config: Controller) -> None:
+        """Start anew with another configuration, as soon as the answer has left."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The parts of a unit that do what commands ask for."""
+
+    fence: Fence
+    remembered: Remembered
+    leases: Leases
+    member: Member
+    jogging: Jogging
+    motors: Motors
+    referencing: Referencing
+    condition: Condition
+    presenter: Presenter
+
 
 class Commands:
     """Answers `ctl/{id}/cmd/*` for one controller."""
 
-    def __init__(
-        self,
-        seat: Seat,
-        fence: Fence,
-        member: Member,
-        condition: Condition,
-        presenter: Presenter,
-        unit: UnitActions,
-    ) -> None:
+    def __init__(self, seat: Seat, parts: Parts, unit: UnitActions) -> None:
         self._seat = seat
         self._config, self._driver = seat.config, seat.driver
-        self._fence = fence
-        self._member = member
-        self._condition = condition
-        self._presenter = presenter
+        self._parts = parts
+        self._fence, self._condition, self._presenter = parts.fence, parts.condition, parts.presenter
         self._unit = unit
         self._answers: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (Adopt, Adopted, self._adopt),
-            "propose": (Propose, Proposal, member.propose),
-            "arm": (Arm, Armed, member.arm),
+            "lease": (LeaseRequest, Reply, self._lease),
+            "propose": (Propose, Proposal, parts.member.propose),
+            "arm": (Arm, Armed, parts.member.arm),
             "commit": (Commit, Reply, self._commit),
             "go": (Go, Reply, self._go),
-            "disarm": (Disarm, Reply, member.disarm),
+            "disarm": (Disarm, Reply, parts.member.disarm),
             "stop": (Stop, Reply, self._stop),
             "enable": (EnableRequest, Reply, self._enable),
-            "home": (HomeRequest, Reply, self._home),
+            "home": (HomeRequest, HomeReply, self._home),
+            "jog": (JogRequest, Reply, self._jog),
+            "set-position": (SetPositionRequest, Reply, self._set_position),
             "output": (OutputRequest, Reply, self._output),
             "reset": (Reset, Reply, self._reset),
+            "configure": (ConfigureRequest, Reply, self._configure),
             "raw": (Raw, RawReply, self._raw),
             "trace": (Request, TraceReply, self._give_trace),
         }
@@ -130,56 +156,67 @@ class Commands:
 
     async def _adopt(self, request: Adopt) -> Adopted:
         if self._fence.adopt(request):
-            await self._member.abandon(f"a new reign, epoch {request.epoch}")
+            self._parts.leases.drop(f"a new reign, epoch {request.epoch}")
+            await self._parts.member.abandon(f"a new reign, epoch {request.epoch}")
         self._presenter.publish()
         return Adopted(epoch=self._fence.epoch, mode=self._presenter.mode())
 
     async def _commit(self, request: Commit) -> Reply:
         self._fence.require_no_estop()
-        return await self._member.commit(request)
+        return await self._parts.member.commit(request)
 
     async def _go(self, request: Go) -> Reply:
         self._fence.require_no_estop()
-        return await self._member.go(request)
+        return await self._parts.member.go(request)
 
     async def _stop(self, request: Stop) -> Reply:
         await self._unit.stop(request.mode == "abort", request.reason or f"stopped by {request.actor}")
+        return Reply()
+
+    async def _lease(self, request: LeaseRequest) -> Reply:
+        self._condition.require_known(request.axes)
+        before = self._parts.leases.holders
+        self._parts.leases.grant(request)
+        if self._parts.leases.holders != before:
+            # Not at each renewal: a state that comes says that the controller was read.
+            self._presenter.publish()
         return Reply()
 
     async def _enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)
         if request.on:
             self._fence.require_no_estop()
-        await self._driver.enable(request.axes, request.on)
-        await self._unit.refresh()
+        await self._parts.motors.switch(request.axes, request.on)
         return Reply()
 
-    async def _home(self, request: HomeRequest) -> Reply:
+    async def _home(self, request: HomeRequest) -> HomeReply:
         self._require_idle(request)
         self._fence.require_no_estop()
-        condition = self._condition
-        reading = condition.online()
-        for name in request.axes:
-            if not reading.axes[name].enabled:
-                raise CannotDo("not-enabled", f"axis {name} is not enabled", f"enable {name} first: `do: enable`")
-            condition.referenced[name] = False
-        condition.homing.update(request.axes)
-        longest_s = max(self._config.axes[name].homing.timeout_s for name in request.axes)
-        try:
-            await self._unit.refresh()
-            async with asyncio.timeout(longest_s):
-                await self._driver.home(request.axes)
-        except TimeoutError:
-            await self._driver.stop(False)
-            names = ", ".join(request.axes)
-            text = f"no reference found for {names} within {longest_s:g} s"
-            raise CannotDo("homing-timeout", text, "look at the home switch, or allow more time") from None
-        finally:
-            condition.homing.difference_update(request.axes)
-        await self._unit.refresh()
-        if condition.reading is None or condition.reading.restarted:
-            raise CannotDo("restarted", "the controller was lost while homing", "home again")
-        condition.referenced.update(dict.fromkeys(request.axes, True))
+        return await self._parts.referencing.home(request.axes)
+
+    async def _jog(self, request: JogRequest) -> Reply:
+        self._parts.jogging.take_seq(request)
+        self._condition.require_known(request.velocities)
+        self._parts.leases.require(request.holder, request.velocities)
+        if any(request.velocities.values()):
+            self._fence.require_no_estop()
+            self._condition.require_no_fault()
+            self._require_no_step()
+        await self._parts.jogging.jog(request)
+        return Reply()
+
+    async def _set_position(self, request: SetPositionRequest) -> Reply:
+        self._require_idle(request)
+        (name,) = request.axes
+        axis, offsets = self._config.axes[name], dict(self._parts.remembered.now.offsets)
+        offsets.pop(name, None)
+        if request.position is not None:
+            motor = self._condition.online().axes[name].commanded_counts / axis.counts_per_unit
+            try:
+                offsets[name] = parse_quantity(request.position, axis.unit) - motor
+            except UnitError as error:
+                raise CannotDo("bad-unit", f"{name}: {error}") from None
+        self._parts.remembered.change(offsets=offsets)
         self._presenter.publish()
         return Reply()
 
@@ -194,13 +231,41 @@ class Commands:
         return Reply()
 
     async def _reset(self, request: Reset) -> Reply:
-        released = self._fence.release(request.event)
-        if self._condition.reading is not None:
-            await self._driver.clear_faults()
-            await self._unit.refresh()
-        if released:
-            self._presenter.emit("reset", f"e-stop reset by {request.actor}")
-        self._presenter.publish()
+        """With `check`, only say whether it could be done; all adapters are asked so before any lets go."""
+        self._fence.require_event(request.event)
+        await self._require_safe()
+        if not request.check:
+            if self._fence.release():
+                self._presenter.emit("reset", f"e-stop reset by {request.actor}")
+            self._presenter.publish()
+        return Reply()
+
+    async def _require_safe(self) -> None:
+        """What can be cleared is cleared, and nothing is left that speaks against motion. Raises `CannotDo`."""
+        condition = self._condition
+        condition.online()
+        await self._driver.clear_faults()
+        await self._unit.refresh()
+        condition.require_no_fault()
+        moving = [name for name, axis in condition.online().axes.items() if axis.moving]
+        if moving:
+            raise CannotDo("moving", f"axis {moving[0]} is moving", "wait for its end, then reset")
+
+    async def _configure(self, request: ConfigureRequest) -> Reply:
+        self._require_no_step()
+        if self._parts.leases.holders:
+            holder = next(iter(self._parts.leases.holders.values()))
+            raise CannotDo("leased", f"axes of the controller are held by {holder}", "wait for its end")
+        try:
+            config = Controller.model_validate(request.configuration)
+            self._seat.make.options.model_validate(config.options)
+            self._seat.make.check(config)
+        except ValidationError as error:
+            raise CannotDo("bad-configuration", explain(error), "correct the fleet file") from None
+        except ValueError as error:
+            raise CannotDo("bad-configuration", str(error), "correct the fleet file") from None
+        if not request.check:
+            self._unit.reconfigure(config)
         return Reply()
 
     async def _raw(self, request: Raw) -> RawReply:
@@ -217,10 +282,14 @@ class Commands:
         ]
         return TraceReply(entries=entries, utc=self._seat.clock.utc(), host_ns=self._seat.clock.now_ns())
 
-    def _require_idle(self, request: AxesRequest) -> None:
+    def _require_idle(self, request: LeasedRequest) -> None:
         self._condition.online()
-        unknown = [name for name in request.axes if name not in self._config.axes]
-        if unknown:
-            raise CannotDo("unknown-axis", f"no axis {unknown[0]}; axes: {', '.join(self._config.axes)}")
-        if self._member.ticket is not None or self._condition.homing:
+        self._condition.require_known(request.axes)
+        self._parts.leases.require(request.holder, request.axes)
+        self._require_no_step()
+        if self._condition.jogging:
+            raise CannotDo("busy", f"axis {min(self._condition.jogging)} is jogging", "let the key go")
+
+    def _require_no_step(self) -> None:
+        if self._parts.member.ticket is not None or self._condition.homing:
             raise CannotDo("busy", f"the controller is {self._presenter.mode()}", "wait, or stop it")

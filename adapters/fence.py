@@ -1,7 +1,7 @@
 """Who may command a controller: epochs of coordinators, and the e-stop latch. Kept over the adapter's own death."""
 
 from adapters.contract import CannotDo
-from adapters.store import Memory, Store
+from adapters.store import Remembered
 from orchestrator.model.messages import Adopt, Fenced
 from orchestrator.model.state import EstopLatch
 
@@ -12,23 +12,22 @@ class Fence:
     A restarted adapter obeys nobody until it is adopted anew, although it remembers the highest epoch.
     """
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._memory = store.load()
+    def __init__(self, remembered: Remembered) -> None:
+        self._remembered = remembered
         self._adopted = False
 
     @property
     def epoch(self) -> int:
         """The highest epoch ever seen."""
-        return self._memory.epoch
+        return self._remembered.now.epoch
 
     @property
     def latch(self) -> EstopLatch | None:
-        return self._memory.estop
+        return self._remembered.now.estop
 
     def adopt(self, request: Adopt) -> bool:
         """Take the coordinator of `request`; True when it is another reign than before. Raises `CannotDo`."""
-        known = self._memory
+        known = self._remembered.now
         if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
             raise CannotDo(
                 "stale-epoch",
@@ -38,13 +37,13 @@ class Fence:
             )
         changed = (request.epoch, request.coordinator) != (known.epoch, known.coordinator)
         if changed:
-            self._save(Memory(epoch=request.epoch, coordinator=request.coordinator, estop=known.estop))
+            self._remembered.change(epoch=request.epoch, coordinator=request.coordinator)
         fresh, self._adopted = not self._adopted, True
         return changed or fresh
 
     def admit(self, request: Fenced) -> None:
         """Raises `CannotDo` unless `request` comes from the coordinator that adopted this controller."""
-        known = self._memory
+        known = self._remembered.now
         if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
             raise CannotDo("stale-epoch", f"epoch {request.epoch} is over; epoch {known.epoch} rules", "")
         if not self._adopted or request.epoch > known.epoch:
@@ -52,7 +51,7 @@ class Fence:
 
     def require_no_estop(self) -> None:
         """Raises `CannotDo` while an e-stop is latched."""
-        latch = self._memory.estop
+        latch = self._remembered.now.estop
         if latch is not None:
             raise CannotDo(
                 "estop-latched", f"e-stop {latch.event} by {latch.actor} is latched", "make it safe, then `tutti reset`"
@@ -60,21 +59,20 @@ class Fence:
 
     def latch_estop(self, latch: EstopLatch) -> bool:
         """Latch; False when one is latched already (the first one keeps its name)."""
-        if self._memory.estop is not None:
+        if self._remembered.now.estop is not None:
             return False
-        self._save(self._memory.model_copy(update={"estop": latch}))
+        self._remembered.change(estop=latch)
         return True
 
-    def release(self, event: str | None) -> bool:
-        """Release the latch named `event`, or any (`None`). False if none was latched. Raises `CannotDo`."""
-        latch = self._memory.estop
-        if latch is None:
-            return False
-        if event is not None and latch.event != event:
+    def require_event(self, event: str | None) -> None:
+        """Raises `CannotDo` when another e-stop than `event` is latched (`None`: any will do)."""
+        latch = self.latch
+        if latch is not None and event is not None and latch.event != event:
             raise CannotDo("other-estop", f"the latched e-stop is {latch.event}, not {event}", "look at `tutti status`")
-        self._save(self._memory.model_copy(update={"estop": None}))
-        return True
 
-    def _save(self, memory: Memory) -> None:
-        self._memory = memory
-        self._store.save(memory)
+    def release(self) -> bool:
+        """Release the latch. False if none was latched."""
+        if self.latch is None:
+            return False
+        self._remembered.change(estop=None)
+        return True

@@ -2,32 +2,25 @@
 
 from collections.abc import Mapping
 
-from adapters.contract import CannotDo, Reading
-from orchestrator.model.fleet import Axis, Controller
+from adapters.condition import Condition
+from adapters.contract import CannotDo
+from orchestrator.model.fleet import Axis
 from orchestrator.model.profile import Profile
 
 # Room for the rounding of a plan that uses its limits to the full: quantisation is bounded by lowering itself.
 ROOM = 1e-6
 
 
-def check_profiles(
-    config: Controller, profiles: Mapping[str, Profile], reading: Reading, referenced: Mapping[str, bool]
-) -> None:
+def check_profiles(condition: Condition, profiles: Mapping[str, Profile]) -> None:
     """Raises `CannotDo` unless every profile starts where its axis stands, may move, and stays inside all limits."""
     if not profiles:
         raise CannotDo("no-axes", "the step moves no axis of this controller")
+    condition.require_known(profiles)
+    condition.require_enabled(profiles)
+    reading = condition.online()
     for name, profile in profiles.items():
-        axis = config.axes.get(name)
-        if axis is None:
-            raise CannotDo("unknown-axis", f"no axis {name}; axes: {', '.join(config.axes)}", "compare the fleet files")
-        now = reading.axes[name]
-        if not now.enabled:
-            raise CannotDo(
-                "not-enabled",
-                f"axis {name} is not enabled",
-                f"enable it first: a step `do: enable` or `tutti axis enable` for {name}",
-            )
-        if not referenced[name]:
+        axis, now = condition.config.axes[name], reading.axes[name]
+        if not condition.referenced[name]:
             raise CannotDo(
                 "not-referenced", f"axis {name} is not referenced", f"home it first: a step `do: home` for {name}"
             )

@@ -27,6 +27,7 @@ from orchestrator.model.state import EstopLatch
 # what moves is stopped by its own ramp.
 COORDINATOR_LOST_NS = 500 * NS_PER_MS
 TIME_EXCHANGES = 8
+ANSWER_LEAVES_NS = 20 * NS_PER_MS  # for the answer to `configure` to be on its way before its unit is closed
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
 
@@ -80,11 +81,13 @@ class AdapterHost:
         self._congested = False
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
+        self._starts = 0
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
-        self.units = [self._unit(controller, config) for controller, config in mine.items()]
+        self.units = {controller: self._unit(controller, config) for controller, config in mine.items()}
 
     def _unit(self, controller: str, config: Controller) -> Unit:
         around, ring = self._around, TraceRing()
+        self._starts += 1
         make = find_make(config.adapter)
         open_plain = around.open_link(controller, config)
 
@@ -106,8 +109,9 @@ class AdapterHost:
             open_link=open_link,
             trace=ring,
             log=log,
-            instance=around.instance,
+            instance=f"{around.instance}-{self._starts}",
             scale=lambda: self._scale,
+            reconfigure=lambda controller, config: self._spawn(self._reconfigure(controller, config)),
         )
         return Unit(seat, around.store(controller))
 
@@ -122,17 +126,25 @@ class AdapterHost:
             await bus.subscribe(keys.reign, self._hear_reign),
             await bus.announce(keys.live("host", self._name, self._around.instance)),
         ]
-        for unit in self.units:
+        for unit in self.units.values():
             await unit.start()
         self._spawn(self._watch_reign())
 
     async def close(self) -> None:
-        for unit in self.units:
+        for unit in self.units.values():
             await unit.close()
         for declared in self._declared:
             await declared.undeclare()
         for task in list(self._tasks):
             task.cancel()
+
+    async def _reconfigure(self, controller: str, config: Controller) -> None:
+        """Replace a unit; the new one knows what the old one has remembered, and must be adopted."""
+        await sleep_ns(self._around.clock, ANSWER_LEAVES_NS)
+        await self.units[controller].close()
+        unit = self.units[controller] = self._unit(controller, config)
+        self._log.info("another configuration", controller=controller, digest=config.digest)
+        await unit.start()
 
     # The e-stop
 
@@ -143,7 +155,7 @@ class AdapterHost:
         except ValidationError:
             heard = Estop(event="garbled", actor="unknown", reason="an e-stop whose payload could not be read")
         latch = EstopLatch(event=heard.event, actor=heard.actor, reason=heard.reason, utc=self._around.clock.utc())
-        for unit in self.units:
+        for unit in self.units.values():
             self._spawn(unit.estop(latch))
 
     # The reign
@@ -190,7 +202,7 @@ class AdapterHost:
             if heard_ns is not None and clock.now_ns() - heard_ns > COORDINATOR_LOST_NS:
                 self._heard_ns = None
                 silent_ms = (clock.now_ns() - heard_ns) // NS_PER_MS
-                for unit in self.units:
+                for unit in self.units.values():
                     self._spawn(unit.coordinator_lost(f"the coordinator has been silent for {silent_ms} ms"))
 
     def _watch_backlog(self) -> None:

@@ -207,9 +207,9 @@ async def _leave(host: AdapterHost, log: Log, reason: str) -> None:
     """Stop everything, for nobody watches it any more, and leave links and bus."""
     log.info(reason)
     stops = await asyncio.gather(
-        *(asyncio.wait_for(unit.stop(False, reason), STOP_S) for unit in host.units), return_exceptions=True
+        *(asyncio.wait_for(unit.stop(False, reason), STOP_S) for unit in host.units.values()), return_exceptions=True
     )
-    for unit, outcome in zip(host.units, stops, strict=True):
+    for unit, outcome in zip(host.units.values(), stops, strict=True):
         if isinstance(outcome, Exception):
             log.info(f"not stopped: {outcome or type(outcome).__name__}", controller=unit.controller)
     try:

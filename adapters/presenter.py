@@ -1,6 +1,7 @@
 """A controller as the bus sees it: its state, its events, its information, its clock."""
 
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 
 from pydantic import ValidationError
 
@@ -11,6 +12,7 @@ from adapters.fence import Fence
 from adapters.mapping import clock_mapping
 from adapters.member import Phase, Ticket
 from adapters.seat import Seat
+from adapters.store import Remembered
 from orchestrator.bus.base import Declared, Priority, RequestRefused, Sample
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Input, Output
@@ -31,15 +33,28 @@ CLOCK_EVERY = 10  # states between two puts of the mapping, which moves slowly
 
 
 class Presenter:
-    """Builds and puts what others may know of one controller. `ticket` gives the step that it is loaded with."""
+    """Builds and puts what others may know of one controller.
 
-    def __init__(self, seat: Seat, fence: Fence, condition: Condition, ticket: Callable[[], Ticket | None]) -> None:
+    ticket: gives the step that it is loaded with. holders: who holds axes.
+    """
+
+    def __init__(
+        self,
+        seat: Seat,
+        fence: Fence,
+        remembered: Remembered,
+        condition: Condition,
+        ticket: Callable[[], Ticket | None],
+        holders: Callable[[], dict[str, str]],
+    ) -> None:
         self._seat = seat
         self._controller, self._config, self._driver = seat.controller, seat.config, seat.driver
         self._bus, self._keys, self._clock = seat.bus, seat.keys, seat.clock
         self._fence = fence
+        self._remembered = remembered
         self._condition = condition
         self._ticket = ticket
+        self._holders = holders
         self._events = EventRing(seat.instance)
         self._state_seq = 0
 
@@ -64,6 +79,8 @@ class Presenter:
             return "moving" if ticket.phase in (Phase.RELEASED, Phase.MOVING) else ticket.phase.value
         if condition.homing:
             return "homing"
+        if condition.jogging:
+            return "jogging"
         if any(axis.moving for axis in condition.reading.axes.values()):
             return "stopping" if self._clock.now_ns() < condition.stopping_until_ns else "moving"
         return "fault" if condition.faults else "idle"
@@ -88,6 +105,7 @@ class Presenter:
             digest=self._config.digest,
             job=ticket.job if ticket else None,
             step=ticket.step if ticket else None,
+            leases=self._holders(),
         )
 
     def publish(self) -> None:
@@ -101,26 +119,35 @@ class Presenter:
 
     def _axis(self, name: str, reading: Reading | None) -> AxisState:
         axis = self._config.axes[name]
+        offset = self._remembered.now.offsets.get(name, Fraction(0))
         if reading is None:
             return AxisState(
                 position=0.0,
                 commanded=0.0,
                 velocity=0.0,
+                motor_position=0.0,
+                raw_counts=0.0,
                 commanded_counts=0,
+                offset=offset,
                 unit=axis.unit,
                 moving=False,
                 enabled=False,
                 referenced=False,
             )
         now = reading.axes[name]
+        motor = axis.to_unit(now.actual_counts)
         return AxisState(
-            position=axis.to_unit(now.actual_counts),
-            commanded=axis.to_unit(now.commanded_counts),
+            position=axis.wrapped(motor + float(offset)),
+            commanded=axis.wrapped(axis.to_unit(now.commanded_counts) + float(offset)),
             velocity=axis.to_unit(now.velocity_counts_s),
+            motor_position=motor,
+            raw_counts=now.actual_counts,
             commanded_counts=now.commanded_counts,
+            offset=offset,
             unit=axis.unit,
             moving=now.moving,
-            enabled=now.enabled,
+            homing=name in self._condition.homing,
+            enabled=now.enabled and name not in self._condition.braked,
             referenced=self._condition.referenced[name],
             limit=now.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),

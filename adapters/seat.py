@@ -16,7 +16,8 @@ from orchestrator.model.fleet import Controller
 
 @dataclass(frozen=True, slots=True)
 class Seat:
-    """instance: of this start of the host. scale: fleet time, or None before any coordinator was heard."""
+    """instance: of this start of the unit. scale: fleet time, or None before any coordinator was heard. reconfigure:
+    asks the host to replace the unit of a controller by one with another configuration."""
 
     controller: str
     config: Controller
@@ -30,3 +31,4 @@ class Seat:
     log: Log
     instance: str
     scale: Callable[[], FleetScale | None]
+    reconfigure: Callable[[str, Controller], None]

@@ -1,21 +1,22 @@
-"""What an adapter remembers over its own death: the e-stop latch and the highest epoch it has seen."""
+"""What an adapter remembers over its own death: e-stop latch, highest epoch seen, user offsets of axes."""
 
 import os
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
-from orchestrator.model.base import Int53, Model
+from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.state import EstopLatch
 
 
 class Memory(Model):
-    """The remembered values."""
+    """The remembered values. offsets: by axis, in its unit."""
 
     epoch: Int53 = 0
     coordinator: str = ""
     estop: EstopLatch | None = None
+    offsets: dict[str, Rational] = Field(default={})
 
 
 class Store(Protocol):
@@ -26,6 +27,18 @@ class Store(Protocol):
     def save(self, memory: Memory) -> None:
         """Keep `memory`; it is safe when this returns."""
         ...
+
+
+class Remembered:
+    """The memory at hand; a change is safe when `change` returns."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.now = store.load()
+
+    def change(self, **fields: Any) -> None:
+        self.now = self.now.model_copy(update=fields)
+        self._store.save(self.now)
 
 
 class MemoryStore:

@@ -9,19 +9,24 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from adapters.commands import Commands
+from adapters.commands import Commands, Parts
 from adapters.condition import Condition
 from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.fence import Fence
 from adapters.guard import check_profiles
+from adapters.jogging import Jogging
+from adapters.leases import Leases
 from adapters.member import Member, Phase, Ticket
+from adapters.motors import Motors
 from adapters.presenter import Presenter
+from adapters.referencing import Referencing
 from adapters.seat import Seat
-from adapters.store import Store
+from adapters.store import Remembered, Store
 from orchestrator.bus.base import Declared
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import Arm, Propose
 from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, EventKind, Fault
 
@@ -38,8 +43,11 @@ class Unit:
         self._seat = seat
         self._config, self._driver = seat.config, seat.driver
         self._bus, self._keys, self._clock, self._log = seat.bus, seat.keys, seat.clock, seat.log
-        self._fence = Fence(store)
-        self._condition = Condition(dict.fromkeys(seat.config.axes, False))
+        remembered = Remembered(store)
+        self._fence = Fence(remembered)
+        self._condition = Condition(seat.config)
+        driver, condition = seat.driver, self._condition
+        self._leases = Leases(seat.config, seat.clock, lambda: driver.capabilities.independent_axes, self._lease_ended)
         self._member = Member(
             seat.controller,
             seat.driver,
@@ -50,8 +58,24 @@ class Unit:
             self.refresh,
             self._spawn,
         )
-        self._presenter = Presenter(seat, self._fence, self._condition, lambda: self._member.ticket)
-        self._commands = Commands(seat, self._fence, self._member, self._condition, self._presenter, self)
+        self._presenter = Presenter(
+            seat, self._fence, remembered, condition, lambda: self._member.ticket, lambda: self._leases.holders
+        )
+        self._jogging = Jogging(driver, seat.clock, condition, self._spawn, self.poke)
+        self._motors = Motors(driver, seat.clock, condition, self.refresh)
+        self._referencing = Referencing(driver, condition, self._presenter.emit, self.refresh)
+        parts = Parts(
+            fence=self._fence,
+            remembered=remembered,
+            leases=self._leases,
+            member=self._member,
+            jogging=self._jogging,
+            motors=self._motors,
+            referencing=self._referencing,
+            condition=condition,
+            presenter=self._presenter,
+        )
+        self._commands = Commands(seat, parts, self)
         self._stop_owed = False
         self._poke = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -99,6 +123,7 @@ class Unit:
                     await self._pay_owed_stop()
                 self._condition.identity = await self._driver.connect()
                 await self._driver.configure()
+                await self._referencing.load_limits(list(self._config.axes))
                 pause_ns = BACKOFF_FIRST_NS
                 heartbeat.cancel()
                 await self._serve()
@@ -144,7 +169,7 @@ class Unit:
     async def _next_poll(self) -> None:
         """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
         rates = self._config.state
-        hz = rates.moving_hz if self._presenter.mode() in ("moving", "homing", "stopping") else rates.idle_hz
+        hz = rates.moving_hz if self._presenter.mode() in ("moving", "jogging", "homing", "stopping") else rates.idle_hz
         try:
             async with asyncio.timeout(1.0 / hz):
                 await self._poke.wait()
@@ -160,6 +185,10 @@ class Unit:
             self._presenter.publish()
             await sleep_ns(self._clock, round(NS_PER_S / self._config.state.idle_hz))
 
+    def poke(self) -> None:
+        """Poll soon: something has begun or ended."""
+        self._poke.set()
+
     # What polls show
 
     async def refresh(self) -> None:
@@ -171,10 +200,14 @@ class Unit:
         """Compare a fresh reading with the last one, and say what has changed."""
         condition = self._condition
         before, condition.reading = condition.reading, reading
+        unreferenced = self._referencing.look(reading)
         if reading.restarted:
-            condition.forget_references()
             self._presenter.emit("fault", "the controller was restarted; its axes are not referenced any more")
             self._member.lost("the controller was restarted")
+            self._jogging.ended_all("the controller was restarted")
+        if unreferenced or reading.restarted:
+            self._spawn(self._referencing.load_limits(list(self._config.axes)))
+        self._jogging.look(reading)
         for name, now in reading.axes.items():
             old = before.axes[name].limit if before is not None else "none"
             if now.limit not in ("none", old):
@@ -204,6 +237,8 @@ class Unit:
             return reading.faults[0].text
         for name in ticket.axes:
             now, old = reading.axes[name], before.axes[name]
+            if now.lost and not old.lost:
+                return f"axis {name} has lost its position"
             # A switch that was active from the start is being left.
             if now.limit not in ("none", old.limit):
                 return f"axis {name} has run into its {now.limit} limit switch"
@@ -216,8 +251,11 @@ class Unit:
         was_online = condition.reading is not None
         condition.reading = None
         condition.faults = [fault]
+        self._stop_owed = (
+            self._stop_owed or self._member.ticket is not None or bool(condition.jogging | condition.homing)
+        )
         condition.homing.clear()
-        self._stop_owed = self._stop_owed or self._member.ticket is not None
+        self._jogging.ended_all("the link is lost")
         self._member.lost(f"the link is lost: {fault.text}")
         if was_online:
             self._presenter.emit("offline", fault.text, fault=fault)
@@ -228,6 +266,7 @@ class Unit:
     async def stop(self, abort: bool, reason: str) -> None:
         """Stop the controller for whatever reason; nothing that is loaded starts afterwards."""
         self._condition.stopping_until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns
+        self._jogging.ended_all(reason)
         try:
             await self._member.stop(abort, reason)
         except (LinkClosed, LinkRefused, DriverFault):
@@ -237,13 +276,14 @@ class Unit:
             self._poke.set()
 
     async def estop(self, latch: EstopLatch) -> None:
-        """Latch and stop as fast as the controller can."""
+        """Latch and stop as fast as the controller can; then outputs and motors go where they are safe."""
         fresh = self._fence.latch_estop(latch)
         await self._survive(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
         if fresh:
             self._presenter.emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
         self._presenter.publish()
         await self._survive(self._make_outputs_safe())
+        await self._survive(self._motors.after_estop())
 
     async def _make_outputs_safe(self) -> None:
         """Take the outputs that have a safe state to it."""
@@ -254,8 +294,19 @@ class Unit:
                 await self._driver.set_output(point.number, point.safe == (point.active == "high"))
 
     async def coordinator_lost(self, reason: str) -> None:
-        """No heartbeat of the coordinator: unload or stop."""
+        """No heartbeat of the coordinator: unload or stop; nobody holds anything any more."""
+        self._leases.drop(reason)
         await self._survive(self._member.abandon(reason))
+
+    def _lease_ended(self, holder: str, axes: list[str], reason: str) -> None:
+        """What the holder still moves is stopped."""
+        ticket = self._member.ticket
+        if ticket is not None and ticket.job == holder:
+            self._spawn(self._member.abandon(f"{reason}: {', '.join(axes)}"))
+        if self._condition.homing & set(axes):
+            self._spawn(self.stop(False, reason))
+        self._spawn(self._jogging.stop_holder(holder, reason))
+        self._presenter.publish()
 
     # What the parts ask of each other
 
@@ -263,18 +314,24 @@ class Unit:
         """Everything that must hold before profiles are executed. Raises `CannotDo`."""
         self._fence.require_no_estop()
         condition = self._condition
-        reading = condition.online()
+        condition.online()
         if request.digest != self._config.digest:
             raise CannotDo(
                 "other-configuration",
                 f"the coordinator believes in configuration {request.digest}, the adapter has {self._config.digest}",
                 "use one fleet file on all hosts and restart",
             )
-        if condition.homing:
-            raise CannotDo("homing", f"{', '.join(sorted(condition.homing))} is homing", "wait for it")
-        if condition.faults:
-            raise CannotDo("fault", condition.faults[0].text, condition.faults[0].remedy)
-        check_profiles(self._config, request.profiles, reading, condition.referenced)
+        if isinstance(request, Arm):
+            self._leases.require(request.job, request.profiles)
+        if condition.homing | condition.jogging:
+            doing = "homing" if condition.homing else "jogging"
+            raise CannotDo(doing, f"{min(condition.homing | condition.jogging)} is {doing}", "wait for its end")
+        condition.require_no_fault()
+        check_profiles(condition, request.profiles)
+
+    def reconfigure(self, config: Controller) -> None:
+        """The host replaces this unit by one with another configuration."""
+        self._seat.reconfigure(self.controller, config)
 
     def _require_scale(self) -> FleetScale:
         scale = self._seat.scale()

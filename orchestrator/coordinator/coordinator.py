@@ -11,19 +11,36 @@ from orchestrator.bus.base import Bus, Declared, RequestRefused, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import Clock
+from orchestrator.coordinator.hands import Hands
+from orchestrator.coordinator.homing import Homing
 from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.motion import Motion
+from orchestrator.coordinator.permits import Permits
 from orchestrator.coordinator.reign import Throne
+from orchestrator.coordinator.reload import Reloading
 from orchestrator.coordinator.runner import Interrupted, Runner, queue_state
 from orchestrator.coordinator.steps import PlainSteps, check_job
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
-from orchestrator.model.base import Model
+from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Move
 from orchestrator.model.messages import Adopt, Adopted, Refusal, Reply
-from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
+from orchestrator.model.service import (
+    GiveBack,
+    JobRef,
+    JobShown,
+    ListJobs,
+    Reload,
+    Reloaded,
+    StopFleet,
+    Submit,
+    Submitted,
+    Take,
+    Taken,
+)
 from orchestrator.model.state import ControllerState
 
 ADOPT_S = 2.0
@@ -31,7 +48,11 @@ ADOPT_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Court:
-    """What a coordinator is given: everything that differs between live and virtual."""
+    """What a coordinator is given: everything that differs between live and virtual.
+
+    save_fleet: keeps a reloaded fleet for the next start. simulated_links: links lead to simulators, and stay when
+    a fleet file is reloaded.
+    """
 
     bus: Bus
     keys: Keys
@@ -40,26 +61,42 @@ class Court:
     runs: Runs
     new_id: Callable[[], str]
     sink: Sink
+    save_fleet: Callable[[Fleet], None]
+    simulated_links: bool = False
 
 
 class Coordinator:
     """One coordinator of `fleet`."""
 
     def __init__(self, fleet: Fleet, court: Court) -> None:
-        self._fleet = fleet
         self._court = court
         bus, keys, clock = court.bus, court.keys, court.clock
         self.throne = Throne(fleet.fleet, bus, keys, clock, court.journal, court.runs, court.new_id)
         self._log = Log("coordinator", self.throne.coordinator[:8], clock, court.sink, bus, keys)
         self._log.fleet_ns = lambda: self.throne.fleet_now_ns() if self.throne.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
-        members = Members(bus, keys, self.throne, court.new_id)
-        self._members = members
-        self._motion = Motion(self._view, members, self.throne, clock, court.journal, court.runs, self._log)
-        plain = self._plain = PlainSteps(self._view, members, clock, self._motion.targets)
+        members = self._members = Members(bus, keys, self.throne, court.new_id)
+        permits = self._permits = Permits(self._view, clock)
+        self._leases = LeaseBook(self._view, members, clock, bus, keys, self._log)
+        self._motion = Motion(self._view, members, permits, self.throne, clock, court.journal, court.runs, self._log)
+        targets = self._motion.targets
+        homing = Homing(self._view, members, permits, targets)
+        plain = self._plain = PlainSteps(self._view, members, clock, targets, homing)
         self.runner = Runner(
-            bus, keys, clock, court.journal, court.runs, self._view, self._motion, plain, self.throne, self._log
+            bus,
+            keys,
+            clock,
+            court.journal,
+            court.runs,
+            self._view,
+            self._motion,
+            plain,
+            self._leases,
+            self.throne,
+            self._log,
         )
+        self._hands = Hands(self._view, self._leases, permits)
+        self._reloading = Reloading(self._view, members, self._leases, clock, court.simulated_links, court.save_fleet)
         self._adopting: set[str] = set()
         self._adopted: dict[str, str] = {}
         self._declared: list[Declared] = []
@@ -71,15 +108,20 @@ class Coordinator:
             "show": (JobRef, self._show),
             "cancel": (JobRef, self._cancel),
             "stop": (StopFleet, self._stop),
+            "take": (Take, self._take),
+            "release": (GiveBack, self._release),
+            "reload": (Reload, self._reload),
         }
 
     async def start(self, take_over: bool = False) -> None:
         """Begin to reign. Raises `AnotherReigns`, `JournalError`."""
         await self.throne.take(take_over)
         self.throne.on_lost = self._depose
-        self._view.on_state = self._see
+        self._view.listen_states(self._see)
         await self._view.start()
         bus, keys = self._court.bus, self._court.keys
+        self._leases.start()
+        self._hands.start()
         await self.runner.start()
         self._declared = [
             await bus.serve(keys.svc(), self._answer),
@@ -93,6 +135,8 @@ class Coordinator:
             await declared.undeclare()
         self._declared.clear()
         await self.runner.close(reason)
+        self._hands.close()
+        self._leases.close()
         await self._view.close()
         await self.throne.close()
         for task in list(self._tasks):
@@ -123,13 +167,18 @@ class Coordinator:
 
     async def _enable_at_start(self, controller: str) -> None:
         """Enable the axes that the fleet file wants on from the start, once the controller is idle."""
-        axes = self._fleet.controllers[controller].axes
+        axes = self._view.fleet.controllers[controller].axes
         names = [f"{controller}.{name}" for name, axis in axes.items() if axis.enable == "at_start"]
-        if names:
-            try:
-                await self._plain.enable(names, True, "coordinator")
-            except Refuse as error:
-                self._log.warning(f"not enabled at start: {error.refusal.text}", controller=controller)
+        if not names:
+            return
+        holder = f"start-{self._court.new_id()[:8]}"
+        try:
+            await self._leases.take(holder, "coordinator", "enabling at the start", names, brief=True)
+            await self._plain.enable(names, True, holder, "coordinator")
+        except Refuse as error:
+            self._log.warning(f"not enabled at start: {error.refusal.text}", controller=controller)
+        finally:
+            await self._leases.give_back(holder)
 
     def _depose(self, reason: str) -> None:
         """A newer reign was heard: answer nobody any more, touch nothing. The adapters refuse us anyhow."""
@@ -161,7 +210,7 @@ class Coordinator:
 
     async def _submit(self, request: Submit) -> Reply:
         try:
-            check_job(self._fleet, list(request.job.steps))
+            check_job(self._view.fleet, list(request.job.steps))
             if request.dry_run:
                 return Submitted(dry_run=await self._dry_run(request))
         except Refuse as error:
@@ -212,6 +261,31 @@ class Coordinator:
         interrupt = Interrupted("aborted", f"stopped by {request.actor}", request.actor)
         await self.runner.interrupt(interrupt, request.mode)
         return Reply()
+
+    async def _take(self, request: Take) -> Model:
+        try:
+            return Taken(axes=list(await self._hands.take(request)))
+        except Refuse as error:
+            return Taken(refused=error.refusal)
+        except UnknownName as error:
+            return Taken(refused=Refusal(code="unknown-name", text=str(error), remedy="see `tutti axis ls`"))
+
+    async def _release(self, request: GiveBack) -> Model:
+        await self._leases.give_back(request.holder)
+        return Reply()
+
+    async def _reload(self, request: Reload) -> Model:
+        try:
+            fleet = Fleet.model_validate(request.configuration)
+            changed = await self._reloading.reload(fleet, request.actor)
+        except Refuse as error:
+            return Reloaded(refused=error.refusal)
+        except ValidationError as error:
+            first = error.errors()[0]
+            text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+            return Reloaded(refused=Refusal(code="bad-file", text=text, remedy="correct the fleet file"))
+        self._log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
+        return Reloaded(changed=changed)
 
     def _spawn(self, coroutine: Any) -> None:
         task: asyncio.Task[None] = asyncio.get_running_loop().create_task(coroutine)

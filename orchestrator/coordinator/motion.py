@@ -11,6 +11,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.coordinator.budget import judge, make_budget, skew
 from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.permits import Guard, Permits
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.targets import Refuse, Resolved, refuse, resolve
 from orchestrator.coordinator.view import FleetView
@@ -58,7 +59,12 @@ class _Step:
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None
     t0_fleet_ns: int = 0
-    events: "asyncio.Queue[Event]" = field(default_factory=lambda: asyncio.Queue[Event]())
+    events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
+    guard: Guard | None = None
+
+    def lost_permit(self) -> str | None:
+        """What permit of the step has been lost since it was armed, in words."""
+        return None if self.guard is None else self.guard.lost()
 
     def profiles(self, member: str) -> dict[str, Profile]:
         """The member's share of the plan, by its own axis names."""
@@ -73,6 +79,7 @@ class Motion:
         self,
         view: FleetView,
         members: Members,
+        permits: Permits,
         throne: Throne,
         clock: Clock,
         journal: Journal,
@@ -81,6 +88,7 @@ class Motion:
     ) -> None:
         self._view = view
         self._members = members
+        self._permits = permits
         self._throne = throne
         self._clock = clock
         self._journal = journal
@@ -103,8 +111,10 @@ class Motion:
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
         await self._propose(moving, job, step)
-        # Events count from before the arming on: a stop may come at any moment.
+        # Events and permits count from before the arming on: a stop, or an open door, may come at any moment.
+        moving.guard = self._permits.guard(moving.plan.profiles)
         unlisten = self._view.listen(moving.events.put_nowait)
+        unguard = self._permits.listen(lambda: moving.events.put_nowait(None))
         try:
             await self._arm_and_release(moving, job, step, on_state)
             await on_state("running", "")
@@ -112,6 +122,7 @@ class Motion:
             report = await self._watch(moving, step)
         finally:
             unlisten()
+            unguard()
         if report.state == "done":
             for axis, (exact, counts) in moving.resolved.exact.items():
                 self.targets.reached(axis, exact, counts)
@@ -150,7 +161,7 @@ class Motion:
                     member,
                 )
             states |= {f"{member}.{axis}": each for axis, each in state.axes.items()}
-        missing = self._view.missing_permit(names)
+        missing = self._permits.missing(names)
         if missing is not None:
             raise Refuse("permit", missing, "bring it about, then submit again")
         resolved = resolve(step, self._view.fleet, states, infos, self.targets)
@@ -234,10 +245,10 @@ class Motion:
             raise Refuse("late", "arming takes longer than the members say, however long the lead", "see the report")
         await on_state("armed", "")
         await self._commit(moving)
-        missing = self._view.missing_permit(moving.plan.profiles)
-        if missing is not None:
+        lost = moving.lost_permit()
+        if lost is not None:
             await self._disarm(moving)
-            raise Refuse("permit", f"{missing} any more", "bring it about, then submit again")
+            raise Refuse("permit", lost, "bring it about, then submit again")
         await self._runs(
             self._journal.decide,
             moving.job_id,
@@ -333,9 +344,9 @@ class Motion:
         silent = [member for member in sorted(waiting_end) if self._view.silent(member)]
         if silent:
             return "failed", f"{silent[0]}: its adapter is silent"
-        missing = self._view.missing_permit(moving.plan.profiles)
-        if missing is not None:
-            return "failed", f"{missing} any more"
+        lost = moving.lost_permit()
+        if lost is not None:
+            return "failed", lost
         if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS:
             return "failed", f"{min(waiting_start)}: promised, and has not started"
         if waiting_end and now_ns > ends_ns + SETTLE_NS:
@@ -343,11 +354,13 @@ class Motion:
         return None
 
     async def _next_event(self, moving: _Step) -> Event | None:
-        """The next event about this step, or None after a while."""
+        """The next event about this step; None after a while, or when a permit was lost."""
         try:
             async with asyncio.timeout(0.05):
                 event = await moving.events.get()
         except TimeoutError:
+            return None
+        if event is None:
             return None
         about = (event.job, event.step) == (moving.job_id, moving.index)
         return event if about and event.controller in moving.proposals else None

@@ -22,6 +22,7 @@ from orchestrator.coordinator.coordinator import Coordinator, Court
 from orchestrator.coordinator.journal import Journal, JournalError, Threaded
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.model.files import FileError, load_fleet
+from orchestrator.model.fleet import Fleet
 
 BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, DEPOSED = 2, 3, 4, 5, 6
 
@@ -42,6 +43,8 @@ async def run(options: argparse.Namespace) -> int:
         runs=Threaded(),
         new_id=lambda: uuid.uuid4().hex,
         sink=file_sink(options.log),
+        save_fleet=lambda taken: save_fleet(options.fleet, taken),
+        simulated_links=options.simulated_links,
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -61,13 +64,21 @@ async def run(options: argparse.Namespace) -> int:
         journal.close()
 
 
+def save_fleet(path: Path, fleet: Fleet) -> None:
+    """Replace the file as a whole: who is started with it again must find what the fleet runs with."""
+    fresh = path.with_suffix(".new")
+    fresh.write_text(fleet.model_dump_json(), encoding="utf-8")
+    fresh.replace(path)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m orchestrator.coordinator.process", description=__doc__)
-    parser.add_argument("--fleet", type=Path, required=True)
+    parser.add_argument("--fleet", type=Path, required=True, help="the fleet file; replaced when it is reloaded")
     parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--journal", type=Path, required=True)
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="reign although another coordinator does")
+    parser.add_argument("--simulated-links", action="store_true", help="keep the links when the file is reloaded")
     parser.add_argument("--parent", type=int, default=0, help="end when this process does")
     options = parser.parse_args()
     if options.parent:

@@ -9,18 +9,19 @@ from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.journal import JobRow, Journal, Runs
+from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.coordinator.motion import Motion
 from orchestrator.coordinator.reign import Throne
-from orchestrator.coordinator.steps import PlainSteps, by_controller
+from orchestrator.coordinator.steps import PlainSteps, expand
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
-from orchestrator.model.job import Job, Move, Step
+from orchestrator.model.fleet import by_controller
+from orchestrator.model.job import Disable, Enable, Home, Job, Move, SetPosition, Step
 from orchestrator.model.messages import Refusal
 from orchestrator.model.report import (
     ENDED,
     JobReport,
     JobState,
-    Lease,
     Progress,
     QueueEntry,
     QueueState,
@@ -55,6 +56,8 @@ class _Running:
     interrupt: Interrupted | None = None
     step_t0_ns: int = 0
     step_s: float = 0.0
+    part: float = 0.0
+    doing: str = ""
     steps: list[StepReport] = field(default_factory=list[StepReport])
 
 
@@ -71,6 +74,7 @@ class Runner:
         view: FleetView,
         motion: Motion,
         plain: PlainSteps,
+        leases: LeaseBook,
         throne: Throne,
         log: Log,
     ) -> None:
@@ -82,6 +86,7 @@ class Runner:
         self._view = view
         self._motion = motion
         self._plain = plain
+        self._leases = leases
         self._throne = throne
         self._log = log
         self._wake = asyncio.Event()
@@ -167,13 +172,14 @@ class Runner:
         running.report = running.report.model_copy(update={"started_utc": started_utc})
         state: JobState = "done"
         reason, actor = "", running.job.actor
-        axes = self._axes_of(running.job)
+        axes, holder = self._axes_of(running.job), running.row.id
         try:
             await self.publish_queue()
-            self._put_leases(axes, running.row.id, running.job.actor)
-            await self._enable_by_policy(axes, running.job.actor)
+            await self._leases.take(holder, running.job.actor, f"job {running.job.name!r}", axes)
+            await self._enable_by_policy(running.job, holder)
             for index, step in enumerate(running.job.steps):
                 running.step, running.step_t0_ns, running.step_s = index, 0, 0.0
+                running.part, running.doing = 0.0, ""
                 report = await self._step(running, index, step)
                 running.steps.append(report)
                 if report.state != "done":
@@ -184,18 +190,22 @@ class Runner:
             interrupt = running.interrupt or Interrupted("interrupted", "the coordinator ended", "coordinator")
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
         except Refuse as error:
-            state, reason = "failed", f"enabling: {error.refusal.text}"
+            state, reason = "failed", f"not begun: {error.refusal.text}; {error.refusal.remedy}".rstrip("; ")
         except Exception as error:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
             await self._motion.stop(self._members_of(running.job), "decelerate", "coordinator", reason)
-        await self._disable_by_policy(axes, running.job.actor)
-        self._put_leases(axes, None, running.job.actor)
+        await self._disable_by_policy(running.job, holder)
+        await self._leases.give_back(holder)
         report = running.report.model_copy(update={"steps": running.steps})
         await self._end(running.row, report, state, reason, actor)
 
     async def _step(self, running: _Running, index: int, step: Step) -> StepReport:
         async def on_state(state: JobState, reason: str) -> None:
             await self._change(running, state, reason)
+
+        def on_progress(part: float, doing: str) -> None:
+            running.part, running.doing = part, doing
+            self._publish(running)
 
         def on_started(t0_fleet_ns: int, duration_s: float) -> None:
             running.step_t0_ns, running.step_s = t0_fleet_ns, duration_s
@@ -205,7 +215,7 @@ class Runner:
             if isinstance(step, Move):
                 return await self._motion.run(running.row.id, running.job, index, step, on_state, on_started)
             await on_state("running", "")
-            await self._plain.run(step, running.job.actor)
+            await self._plain.run(step, running.row.id, running.job.actor, on_progress)
         except Refuse as error:
             refusal = error.refusal
             self._log.warning(refusal.text, job=running.row.id, step=index, code=refusal.code)
@@ -284,7 +294,7 @@ class Runner:
     def progress(self, running: _Running) -> Progress:
         """How far the job has come: steps done, and the part of the present move."""
         steps = running.job.steps
-        within, remaining_s = 0.0, None
+        within, remaining_s = running.part, None
         if running.step_t0_ns and running.step_s > 0:
             gone_s = (self._throne.fleet_now_ns() - running.step_t0_ns) / NS_PER_S
             within = min(1.0, max(0.0, gone_s / running.step_s))
@@ -297,7 +307,7 @@ class Runner:
             state=running.state,
             step=running.step,
             steps=len(steps),
-            step_name=step.name or step.do,
+            step_name=running.doing or step.name or step.do,
             fraction=min(1.0, (running.step + within) / len(steps)),
             remaining_s=remaining_s,
             reason=running.reason,
@@ -312,37 +322,41 @@ class Runner:
     # The axes of a job
 
     def _axes_of(self, job: Job) -> list[str]:
-        """Axes that a job can move."""
+        """Axes that a job moves, switches or renames: those that it must hold."""
         fleet = self._view.fleet
         names: list[str] = []
         for step in job.steps:
             if isinstance(step, Move):
                 names += [*step.to, *step.by]
-            elif step.do == "home":
-                names += [axis for name in step.axes or fleet.controllers for axis in fleet.expand(name)]
+            elif isinstance(step, Home | Enable | Disable):
+                names += expand(fleet, step.axes or list(fleet.controllers))
+            elif isinstance(step, SetPosition):
+                names += step.axes
         return list(dict.fromkeys(names))
+
+    def _moved_by(self, job: Job) -> list[str]:
+        """Axes that a job moves, and that are enabled for it if the fleet file says so."""
+        moves = [step for step in job.steps if isinstance(step, Move | Home)]
+        return self._axes_of(job.model_copy(update={"steps": moves}))
 
     def _members_of(self, job: Job) -> list[str]:
         """Controllers that a job can move, for stopping them all."""
         return list(by_controller(self._axes_of(job)))
 
-    def _put_leases(self, axes: list[str], holder: str | None, actor: str) -> None:
-        for controller in by_controller(axes):
-            lease = Lease(controller=controller, holder=holder, actor=actor, epoch=self._throne.epoch)
-            self._bus.put(self._keys.lease(controller), lease.to_json(), Priority.EVENT)
-
-    async def _enable_by_policy(self, axes: list[str], actor: str) -> None:
+    async def _enable_by_policy(self, job: Job, holder: str) -> None:
         """Enable what the fleet file wants enabled for a job and is not. Raises `Refuse`."""
-        off = [axis for axis in axes if self._view.fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)]
+        fleet = self._view.fleet
+        axes = self._moved_by(job)
+        off = [axis for axis in axes if fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)]
         if off:
-            await self._plain.enable(off, True, actor)
+            await self._plain.enable(off, True, holder, job.actor)
 
-    async def _disable_by_policy(self, axes: list[str], actor: str) -> None:
+    async def _disable_by_policy(self, job: Job, holder: str) -> None:
         """Disable what is enabled for jobs only. What still ramps down stays on, and that is said."""
-        per_job = [axis for axis in axes if self._view.fleet.axis(axis).enable == "per_job"]
+        per_job = [axis for axis in self._moved_by(job) if self._view.fleet.axis(axis).enable == "per_job"]
         if per_job:
             try:
-                await self._plain.enable(per_job, False, actor)
+                await self._plain.enable(per_job, False, holder, job.actor)
             except Refuse as error:
                 self._log.warning(f"left enabled after the job: {error.refusal.text}")
 

@@ -4,13 +4,15 @@ import asyncio
 from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.coordinator.homing import Homing, Progress, homing_order, must_wait_for
 from orchestrator.coordinator.members import FencedFields, Members
 from orchestrator.coordinator.targets import Refuse, refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
-from orchestrator.model.fleet import Fleet
-from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, Step, WaitInput
-from orchestrator.model.messages import EnableRequest, HomeRequest, OutputRequest, Reply
+from orchestrator.model.fleet import Fleet, by_controller
+from orchestrator.model.job import Disable, Dwell, Enable, Home, Move, SetOutput, SetPosition, Step, WaitInput
+from orchestrator.model.messages import EnableRequest, LeasedRequest, OutputRequest, Reply, SetPositionRequest
+from orchestrator.model.units import parse_quantity
 from orchestrator.plan.step import Targets
 
 ANSWER_S = 3.0
@@ -20,18 +22,21 @@ LOOK_NS = 20 * NS_PER_MS
 class PlainSteps:
     """Runs steps on controllers one by one; each raises `Refuse` with the reason if it can not be done."""
 
-    def __init__(self, view: FleetView, members: Members, clock: Clock, targets: Targets) -> None:
+    def __init__(self, view: FleetView, members: Members, clock: Clock, targets: Targets, homing: Homing) -> None:
         self._view = view
         self._members = members
         self._clock = clock
         self._targets = targets
+        self._homing = homing
 
-    async def run(self, step: Step, actor: str) -> None:
-        """Run `step` to its end."""
+    async def run(self, step: Step, holder: str, actor: str, progress: Progress) -> None:
+        """Run `step` to its end, with axes that `holder` has the leases of."""
         if isinstance(step, Enable | Disable):
-            await self.enable(expand(self._view.fleet, step.axes), isinstance(step, Enable), actor)
+            await self.enable(expand(self._view.fleet, step.axes), isinstance(step, Enable), holder, actor)
         elif isinstance(step, Home):
-            await self._home(step, actor)
+            await self._homing.run(step.axes, holder, actor, progress)
+        elif isinstance(step, SetPosition):
+            await self._set_position(step, holder, actor)
         elif isinstance(step, Dwell):
             await sleep_ns(self._clock, step.duration)
         elif isinstance(step, SetOutput):
@@ -39,26 +44,22 @@ class PlainSteps:
         elif isinstance(step, WaitInput):
             await self._wait(step)
 
-    async def enable(self, axes: list[str], on: bool, actor: str) -> None:
-        """Switch the motors of `axes`. Raises `Refuse`."""
+    async def enable(self, axes: list[str], on: bool, holder: str, actor: str) -> None:
+        """Switch the motors of `axes`, with their brakes. Raises `Refuse`."""
         requests = {
-            member: EnableRequest(**self._fields(actor), axes=names, on=on)
+            member: EnableRequest(**self._fields(actor), axes=names, on=on, holder=holder)
             for member, names in by_controller(axes).items()
         }
-        await self._all("enable", requests, ANSWER_S)
+        brakes = [brake for axis in axes if (brake := self._view.fleet.axis(axis).brake) is not None]
+        longest_s = max((brake.release_s if on else brake.engage_s for brake in brakes), default=0.0)
+        await self._all("enable", requests, ANSWER_S + longest_s)
 
-    async def _home(self, step: Home, actor: str) -> None:
-        """Home in the order of the list, or of the fleet's `home_order`: one entry after the other."""
-        fleet = self._view.fleet
-        for entry in homing_order(fleet, step.axes):
-            axes = fleet.expand(entry)
-            timeout_s = max(fleet.axis(axis).homing.timeout_s for axis in axes) + ANSWER_S
-            requests = {
-                member: HomeRequest(**self._fields(actor), axes=names) for member, names in by_controller(axes).items()
-            }
-            for axis in axes:
-                self._targets.forget(axis)
-            await self._all("home", requests, timeout_s)
+    async def _set_position(self, step: SetPosition, holder: str, actor: str) -> None:
+        for axis, position in step.axes.items():
+            controller, _, name = axis.partition(".")
+            self._targets.forget(axis)
+            request = SetPositionRequest(**self._fields(actor), axes=[name], holder=holder, position=position)
+            await self._all("set-position", {controller: request}, ANSWER_S)
 
     async def _output(self, step: SetOutput, actor: str) -> None:
         controller, _, output = step.output.partition(".")
@@ -82,9 +83,7 @@ class PlainSteps:
                 )
             await sleep_ns(self._clock, LOOK_NS)
 
-    async def _all(
-        self, verb: str, requests: Mapping[str, EnableRequest | HomeRequest | OutputRequest], timeout_s: float
-    ) -> None:
+    async def _all(self, verb: str, requests: Mapping[str, LeasedRequest | OutputRequest], timeout_s: float) -> None:
         asked = [self._members.ask(member, verb, each, Reply, timeout_s) for member, each in requests.items()]
         for reply in await asyncio.gather(*asked):
             if reply.refused is not None:
@@ -99,23 +98,6 @@ def expand(fleet: Fleet, names: list[str]) -> list[str]:
     return list(dict.fromkeys(axis for name in names for axis in fleet.expand(name)))
 
 
-def by_controller(axes: list[str]) -> dict[str, list[str]]:
-    """Axis names of each controller, without its own name before them."""
-    found: dict[str, list[str]] = {}
-    for axis in axes:
-        controller, _, name = axis.partition(".")
-        found.setdefault(controller, []).append(name)
-    return found
-
-
-def homing_order(fleet: Fleet, axes: list[str] | None) -> list[str]:
-    """Entries to home one after another: those asked for, else the fleet's order and then the axes not in it."""
-    if axes is not None:
-        return axes
-    ordered = {axis for entry in fleet.home_order for axis in fleet.expand(entry)}
-    return [*fleet.home_order, *(axis for axis in fleet.axis_names if axis not in ordered)]
-
-
 def check_job(fleet: Fleet, steps: list[Step]) -> None:
     """Refuse a job that names what the fleet does not have, before it is accepted. Raises `Refuse`."""
     for index, step in enumerate(steps):
@@ -123,8 +105,15 @@ def check_job(fleet: Fleet, steps: list[Step]) -> None:
             if isinstance(step, Move):
                 for axis in step.to | step.by:
                     fleet.axis(axis)
+            elif isinstance(step, SetPosition):
+                for name, position in step.axes.items():
+                    axis = fleet.axis(name)
+                    if position is not None:
+                        parse_quantity(position, axis.unit)
             elif isinstance(step, Enable | Disable | Home):
                 expand(fleet, step.axes or [])
+                if isinstance(step, Home):
+                    must_wait_for(fleet, homing_order(fleet, step.axes))
             elif isinstance(step, SetOutput):
                 _require_point(step.output, "output", {c: set(each.outputs) for c, each in fleet.controllers.items()})
             elif isinstance(step, WaitInput):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from math import floor
 
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.job import Move
@@ -51,9 +52,9 @@ def resolve(
             amount = parse_quantity(value, axis.unit)
         except UnitError as error:
             raise Refuse("bad-unit", f"{name}: {error}", member=controller) from None
-        target = here + amount if name in step.by else _turned(axis, here, amount)
+        target = here + amount if name in step.by else _turned(axis, here, amount - state.offset, state.offset)
         counts = axis.to_counts(target)
-        _require_inside(name, axis, target, counts, controller)
+        _require_inside(name, axis, target, counts, float(state.offset), controller)
         exact[name] = (target, counts)
         scale = float(axis.scale)
         moves.append(
@@ -71,12 +72,22 @@ def resolve(
     return Resolved(moves, exact)
 
 
-def _turned(axis: Axis, here: Fraction, target: Fraction) -> Fraction:
-    """A rotary axis that may take the shortest way: the turn of `target` that lies nearest to `here`."""
-    if not axis.shortest_way or axis.wrap is None:
+def _turned(axis: Axis, here: Fraction, target: Fraction, offset: Fraction) -> Fraction:
+    """The motor position that an absolute target means. On an axis that wraps, it is met once a turn: in the turn of
+    user positions that the axis stands in, or, with `shortest_way`, at the place nearest to `here`; in both cases
+    inside the soft limits, if one is."""
+    turn = axis.turn
+    if turn is None:
         return target
-    turn = parse_quantity(axis.wrap, axis.unit)
-    return target + turn * round((here - target) / turn)
+    if axis.shortest_way:
+        turned = target + turn * round((here - target) / turn)
+    else:
+        turned = target + turn * (floor((here + offset) / turn) - floor((target + offset) / turn))
+    limits = axis.soft_limits_counts
+    if limits is None or limits[0] <= axis.to_counts(turned) <= limits[1]:
+        return turned
+    inside = [way for way in (turned - turn, turned + turn) if limits[0] <= axis.to_counts(way) <= limits[1]]
+    return min(inside, key=lambda way: abs(way - here), default=turned)
 
 
 def _require_ready(name: str, state: AxisState, controller: str) -> None:
@@ -86,14 +97,16 @@ def _require_ready(name: str, state: AxisState, controller: str) -> None:
         raise Refuse("not-referenced", f"axis {name} is not referenced", "add a step `do: home` before", controller)
 
 
-def _require_inside(name: str, axis: Axis, target: Fraction, counts: int, controller: str) -> None:
+def _require_inside(name: str, axis: Axis, target: Fraction, counts: int, offset: float, controller: str) -> None:
+    """Soft limits are motor positions; the message speaks of user positions, as the target did."""
     limits = axis.soft_limits_counts
     if limits is None or limits[0] <= counts <= limits[1]:
         return
-    low, high = sorted(axis.to_unit(limit) for limit in limits)
+    low, high = sorted(axis.to_unit(limit) + offset for limit in limits)
     raise Refuse(
         "soft-limit",
-        f"axis {name}: target {float(target):g} {axis.unit} is beyond its soft limits {low:g} to {high:g} {axis.unit}",
+        f"axis {name}: target {float(target) + offset:g} {axis.unit} is beyond its soft limits {low:g} to {high:g} "
+        f"{axis.unit}",
         "change the target, or the soft limits in the fleet file",
         controller,
     )

@@ -1,7 +1,7 @@
 """What the coordinator knows of the fleet: every controller's last state, its information, its events."""
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from pydantic import ValidationError
 
@@ -32,7 +32,7 @@ class FleetView:
         self._infos: dict[str, Info] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
         self._listeners: list[Listener] = []
-        self.on_state: Callable[[ControllerState], None] = lambda _: None
+        self._state_listeners: list[Callable[[ControllerState], None]] = []
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -57,17 +57,6 @@ class FleetView:
         heard_ns = self._heard_ns.get(controller)
         return heard_ns is None or self._clock.now_ns() - heard_ns > SILENT_NS
 
-    def missing_permit(self, axes: Iterable[str]) -> str | None:
-        """The first permit of `axes` that does not hold now, in words; an input that can not be heard does not."""
-        for name, permit in self.fleet.permits_of(axes).items():
-            controller, _, point = permit.input.partition(".")
-            state = self._states.get(controller)
-            known = state is not None and not self.silent(controller) and state.mode != "offline"
-            if not known or state is None or state.inputs.get(point) != permit.value:
-                wanted = "active" if permit.value else "inactive"
-                return f"permit {name}: input {permit.input} is not {wanted}" + ("" if known else " (not heard)")
-        return None
-
     async def fresh(self, controller: str) -> ControllerState:
         """The state as it is now, asked for. Raises `BusError`."""
         payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
@@ -89,6 +78,10 @@ class FleetView:
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
+    def listen_states(self, listener: Callable[[ControllerState], None]) -> None:
+        """Call `listener` with every state."""
+        self._state_listeners.append(listener)
+
     # Inside
 
     def _take_state(self, sample: Sample) -> None:
@@ -101,7 +94,8 @@ class FleetView:
             return
         self._states[state.controller] = state
         self._heard_ns[state.controller] = self._clock.now_ns()
-        self.on_state(state)
+        for listener in self._state_listeners:
+            listener(state)
 
     def _take_event(self, sample: Sample) -> None:
         try:

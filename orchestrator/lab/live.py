@@ -195,6 +195,7 @@ class LiveFleet:
         command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
         command += ["--connect", self.connect, "--journal", str(self.state / "journal.sqlite3")]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
+        command += ["--simulated-links"] if self.simulated else []
         return [*command, "--take-over"] if self.take_over else command
 
     # Children

@@ -228,7 +228,13 @@ class VirtualFleet:
             runs=inline,
             new_id=self.new_id,
             sink=self.lines.append,
+            save_fleet=self._take_fleet,
+            simulated_links=True,
         )
+
+    def _take_fleet(self, fleet: Fleet) -> None:
+        """The fleet file that hosts and coordinators which start from now on are given."""
+        self.fleet = fleet
 
     # Processes by name, for faults
 

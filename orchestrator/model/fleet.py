@@ -186,6 +186,18 @@ class Axis(Model):
         return counts / self._float_scale
 
     @cached_property
+    def turn(self) -> Fraction | None:
+        """The length of one turn in the axis's unit; None for an axis that does not wrap."""
+        return None if self.wrap is None else parse_quantity(self.wrap, self.unit)
+
+    def wrapped(self, position: float) -> float:
+        """A user position as it is shown: within one turn, from 0, where the axis wraps."""
+        if self.turn is None:
+            return position
+        within = position % float(self.turn)
+        return within if within < float(self.turn) else 0.0  # a hair below 0 is rounded up to a whole turn
+
+    @cached_property
     def _float_scale(self) -> float:
         return float(self.counts_per_unit)
 
@@ -392,3 +404,12 @@ class Fleet(Model):
             return [f"{name}.{axis}" for axis in self.controllers[name].axes]
         self.axis(name)
         return [name]
+
+
+def by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
+    """Axes `controller.axis` by their controller, in order."""
+    found: dict[str, list[str]] = {}
+    for axis in axes:
+        controller, _, name = axis.partition(".")
+        found.setdefault(controller, []).append(name)
+    return found

@@ -67,6 +67,13 @@ class Disable(StepBase):
     axes: Axes
 
 
+class SetPosition(StepBase):
+    """Call the places where axes stand by other user positions; null takes an axis's offset away. Nothing moves."""
+
+    do: Literal["set-position"]
+    axes: dict[str, Quantity | None] = Field(min_length=1, description="User positions by axis.")
+
+
 class Dwell(StepBase):
     """Wait."""
 
@@ -91,7 +98,9 @@ class WaitInput(StepBase):
     timeout: Duration
 
 
-Step = Annotated[Move | Home | Enable | Disable | Dwell | SetOutput | WaitInput, Field(discriminator="do")]
+Step = Annotated[
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput, Field(discriminator="do")
+]
 
 
 class Job(Model):

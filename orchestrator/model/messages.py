@@ -189,9 +189,13 @@ class SetPositionRequest(LeasedRequest):
 
 
 class ConfigureRequest(Fenced):
-    """Take another configuration (a controller of a fleet file, in its JSON form); the adapter starts anew with it."""
+    """Take another configuration (a controller of a fleet file, in its JSON form); the adapter starts anew with it.
+
+    check: only say whether it could be done.
+    """
 
     configuration: dict[str, Any]
+    check: bool = False
 
 
 class JogRequest(Request):

@@ -1,0 +1,172 @@
+"""Who may move which axes: one holder each, known here, enforced in the adapters, visible on the bus."""
+
+import asyncio
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from orchestrator.bus.base import Bus, BusError, Priority
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log
+from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
+from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.targets import Refuse, refuse
+from orchestrator.coordinator.view import FleetView
+from orchestrator.model.fleet import by_controller
+from orchestrator.model.messages import LeaseRequest, Reply
+from orchestrator.model.report import Lease
+
+ANSWER_S = 2.0
+TTL_MS = 3000  # an adapter that hears nothing of a lease for so long takes it back
+RENEW_NS = NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What one holder has. axes: `controller.axis`. until_ns: when it runs out unless taken again; None: never.
+
+    brief: it ends in a moment; others wait for that instead of being refused.
+    """
+
+    holder: str
+    actor: str
+    what: str
+    axes: tuple[str, ...]
+    until_ns: int | None
+    brief: bool = False
+
+
+class LeaseBook:
+    """All leases of the fleet."""
+
+    def __init__(self, view: FleetView, members: Members, clock: Clock, bus: Bus, keys: Keys, log: Log) -> None:
+        self._view = view
+        self._members = members
+        self._clock = clock
+        self._bus = bus
+        self._keys = keys
+        self._log = log
+        self._held: dict[str, Held] = {}
+        self._given_back = asyncio.Event()
+        self._renewing: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin to renew what is held."""
+        self._renewing = asyncio.get_running_loop().create_task(self._renew())
+
+    def close(self) -> None:
+        if self._renewing is not None:
+            self._renewing.cancel()
+
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """All leases, by holder."""
+        return tuple(self._held.values())
+
+    def conflict(self, axes: Iterable[str], holder: str = "") -> Held | None:
+        """Who else than `holder` has one of `axes`."""
+        wanted = set(axes)
+        return next((held for held in self._held.values() if held.holder != holder and wanted & set(held.axes)), None)
+
+    async def take(
+        self, holder: str, actor: str, what: str, axes: Iterable[str], ttl_ns: int | None = None, brief: bool = False
+    ) -> tuple[str, ...]:
+        """Take `axes` for `holder`, or go on holding them; gives all that are held by it for that: whole controllers
+        where axes can not be told apart. Raises `Refuse`; then nothing is held that was not before."""
+        whole = await self._whole(axes)
+        while (other := self.conflict(whole, holder)) is not None and other.brief:
+            self._given_back.clear()
+            await self._given_back.wait()
+        if other is not None:
+            theirs = next(axis for axis in whole if axis in other.axes)
+            raise Refuse(
+                "leased",
+                f"{theirs} is in use by {other.actor} ({other.what})",
+                "wait for its end, or ask them",
+                theirs.partition(".")[0],
+            )
+        before = self._held.get(holder)
+        mine = tuple(dict.fromkeys((*(before.axes if before else ()), *whole)))
+        until_ns = None if ttl_ns is None else self._clock.now_ns() + ttl_ns
+        # Held from here on: nobody else may take them while the adapters are asked.
+        held = self._held[holder] = Held(holder, actor, what, mine, until_ns, brief)
+        if before is None or set(mine) != set(before.axes):
+            try:
+                await self._tell(held, TTL_MS)
+            except Refuse:
+                await self.give_back(holder)
+                raise
+            if self._held.get(holder) is not held:
+                raise Refuse("not-leased", "the lease ended while it was being given")
+            self._publish(held, holder)
+        return whole
+
+    async def give_back(self, holder: str, reason: str = "") -> None:
+        """End what `holder` has; what it still moves is stopped by the adapters."""
+        held = self._held.get(holder)
+        if held is None:
+            return
+        # Whoever wants the axes now waits for the adapters to let them go.
+        self._held[holder] = replace(held, brief=True)
+        if reason:
+            self._log.warning(f"the lease of {held.actor} ({held.what}) ends: {reason}", holder=holder)
+        try:
+            await self._tell(held, 0)
+        except Refuse as error:
+            self._log.warning(f"lease not taken back: {error.refusal.text}; it runs out by itself", holder=holder)
+        self._held.pop(holder, None)
+        self._given_back.set()
+        self._publish(held, None)
+
+    async def _whole(self, axes: Iterable[str]) -> tuple[str, ...]:
+        """`axes`, and with them all of the controllers whose axes can only be held together. Raises `Refuse`."""
+        whole: list[str] = []
+        for controller, names in by_controller(axes).items():
+            try:
+                info = await self._view.info(controller)
+            except BusError as error:
+                raise Refuse("absent", f"{controller}: {error}", "is its adapter host running?", controller) from None
+            all_names = self._view.fleet.controllers[controller].axes
+            whole += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
+        return tuple(whole)
+
+    async def _tell(self, held: Held, ttl_ms: int) -> None:
+        """Tell the adapters. Raises `Refuse` for the first that refuses."""
+
+        async def ask(controller: str, names: list[str]) -> Reply:
+            fields = self._members.fields(held.actor)
+            request = LeaseRequest(**fields, axes=names, holder=held.holder, ttl_ms=ttl_ms)
+            return await self._members.ask(controller, "lease", request, Reply, ANSWER_S)
+
+        replies = await asyncio.gather(*(ask(c, names) for c, names in by_controller(held.axes).items()))
+        for reply in replies:
+            if reply.refused is not None:
+                raise refuse(reply.refused)
+
+    async def _renew(self) -> None:
+        while True:
+            await sleep_ns(self._clock, RENEW_NS)
+            now_ns = self._clock.now_ns()
+            for held in list(self._held.values()):
+                if held.until_ns is not None and held.until_ns <= now_ns:
+                    await self.give_back(held.holder, "it was not renewed")
+            await asyncio.gather(*(self._renew_one(held) for held in self._held.values() if not held.brief))
+
+    async def _renew_one(self, held: Held) -> None:
+        try:
+            await self._tell(held, TTL_MS)
+        except Refuse as error:
+            self._log.warning(f"lease not renewed: {error.refusal.text}", holder=held.holder)
+
+    def _publish(self, held: Held, holder: str | None) -> None:
+        for controller, names in by_controller(held.axes).items():
+            whole = set(names) == set(self._view.fleet.controllers[controller].axes)
+            for axis in [None] if whole else names:
+                lease = Lease(
+                    controller=controller,
+                    axis=axis,
+                    holder=holder,
+                    actor=held.actor,
+                    what=held.what,
+                    epoch=self._members.throne.epoch,
+                )
+                self._bus.put(self._keys.lease(controller, axis), lease.to_json(), Priority.EVENT)
