@@ -1,9 +1,10 @@
-"""`tutti axis …`: axes by hand. Everything that moves is a job of one step, so it is leased, checked and recorded."""
+"""`tutti axis …`: axes by hand. What moves is a job of one step, leased, checked and recorded; or it is jogged."""
 
 from typing import Any
 
 import click
 
+from orchestrator.cli.axis_jog import jog
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.one_step import run_step
@@ -115,8 +116,9 @@ def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, con
     run_step(connect, fleet, step, "there")
 
 
-# What is moved by hand is a job like any other: one stop for all.
+# What is moved by hand is stopped like anything else: one stop for all.
 axis.add_command(stop)
+axis.add_command(jog)
 
 
 def _number_or_text(value: str) -> float | str:

@@ -63,9 +63,7 @@ class Hand:
 
     async def give_back(self) -> None:
         """Stop what still moves and give the axes back. Refuses nothing: a lease that nobody renews ends by itself."""
-        if self._keeper is not None:
-            self._keeper.cancel()
-            self._keeper = None
+        self._keep_no_longer()
         with contextlib.suppress(Refused):
             await self.stop()
         with contextlib.suppress(Refused):
@@ -81,12 +79,18 @@ class Hand:
     async def _keep(self) -> None:
         """Renew the lease well within its life, until it is refused."""
         pause_s = self._ttl_s / RENEWALS
-        while self.lost is None:
+        while True:
             await asyncio.sleep(pause_s)
             try:
                 await self._take(self._ttl_s - pause_s)
             except Refused as error:
-                self.lost = self.lost or error.refusal
+                self.lost = error.refusal
+                return
+
+    def _keep_no_longer(self) -> None:
+        if self._keeper is not None:
+            self._keeper.cancel()
+            self._keeper = None
 
     # Motion
 
@@ -130,6 +134,7 @@ class Hand:
                 await self.stop()
         for error in refused:
             if isinstance(error, Refused) and error.refusal.code == "not-leased":
+                self._keep_no_longer()
                 self.lost = self.lost or error.refusal
         raise refused[0]
 

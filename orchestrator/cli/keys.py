@@ -1,0 +1,194 @@
+"""Bytes of a terminal as keys: the old sequences, and those of the kitty keyboard protocol, which knows releases.
+
+https://sw.kovidgoyal.net/kitty/keyboard-protocol/
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["press", "repeat", "release"]
+
+_ESC = 0x1B
+_ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+# Keys that have no text, by their number in the kitty protocol; the keypad's arrows and signs count as the others.
+_NUMBERED = {
+    9: "tab",
+    13: "enter",
+    27: "escape",
+    32: "space",
+    127: "backspace",
+    57412: "-",
+    57413: "+",
+    57417: "left",
+    57418: "right",
+    57419: "up",
+    57420: "down",
+} | {57399 + digit: str(digit) for digit in range(10)}
+_CONTROLS = {0x08: "backspace", 0x09: "tab", 0x0A: "enter", 0x0D: "enter", 0x20: "space", 0x7F: "backspace"}
+_KINDS: dict[str, Kind] = {"": "press", "1": "press", "2": "repeat", "3": "release"}
+_SHIFT, _ALT, _CTRL = 1, 2, 4
+# Device control, operating system command and the like: text up to the string terminator.
+_STRINGS = frozenset(b"PX]^_")
+_LONGEST = 256  # no sequence of a terminal is longer; whatever is, is garbage
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key: an arrow by its name, `space`, `escape`, a character, or `ctrl+c`. Plain terminals only know presses."""
+
+    name: str
+    kind: Kind = "press"
+
+
+@dataclass(frozen=True, slots=True)
+class Focus:
+    """The terminal's window has got the keyboard (`on`), or has lost it."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class KeyboardFlags:
+    """The answer of a terminal that knows the kitty protocol: what is switched on now."""
+
+    flags: int
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceAttributes:
+    """The answer that every terminal gives."""
+
+
+Event = Key | Focus | KeyboardFlags | DeviceAttributes
+
+
+class KeyParser:
+    """Takes bytes as they come, in any pieces. What it can not read it passes over."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a sequence has begun. When nothing follows soon, `expire`."""
+        return bool(self._rest)
+
+    def feed(self, data: bytes) -> list[Event]:
+        """The events that end with `data`, in order."""
+        self._rest += data
+        events: list[Event] = []
+        while self._rest:
+            length, event = _next(self._rest)
+            if length == 0:
+                if len(self._rest) <= _LONGEST:
+                    break
+                length = len(self._rest)
+            self._rest = self._rest[length:]
+            if event is not None:
+                events.append(event)
+        return events
+
+    def expire(self) -> list[Event]:
+        """Nothing follows: what has begun is the Escape key, or a sequence that was cut off."""
+        alone, self._rest = self._rest == b"\x1b", b""
+        return [Key("escape")] if alone else []
+
+
+def _next(data: bytes) -> tuple[int, Event | None]:
+    """How many bytes the first thing in `data` takes (0: more must come), and what it is."""
+    if data[0] != _ESC:
+        return _text(data)
+    if len(data) == 1:
+        return 0, None
+    kind = data[1]
+    if kind == ord("["):
+        return _control_sequence(data)
+    if kind == ord("O"):
+        return _shifted_function(data)
+    if kind in _STRINGS:
+        return _string(data)
+    if kind == _ESC:
+        return 1, Key("escape")
+    length, key = _text(data[1:])
+    return (length + 1, Key(f"alt+{key.name}")) if length and key else (length and length + 1, None)
+
+
+def _text(data: bytes) -> tuple[int, Key | None]:
+    """A control character, or a character in UTF-8."""
+    first = data[0]
+    if first in _CONTROLS:
+        return 1, Key(_CONTROLS[first])
+    if first < 0x20:
+        return 1, Key(f"ctrl+{chr(first + 0x60)}") if first <= 0x1A and first else None
+    length = 1 if first < 0x80 else 2 if first >> 5 == 0b110 else 3 if first >> 4 == 0b1110 else 4
+    part = data[:length]
+    try:
+        return length, Key(part.decode())
+    except UnicodeDecodeError as error:
+        cut_off = len(part) < length and error.end == len(part)
+        return (0, None) if cut_off else (1, None)
+
+
+def _control_sequence(data: bytes) -> tuple[int, Event | None]:
+    """ESC [, parameters, and a final character that says what it is."""
+    for at in range(2, len(data)):
+        if 0x40 <= data[at] <= 0x7E:
+            return at + 1, _meaning(data[2:at].decode("ascii"), chr(data[at]))
+        if not 0x20 <= data[at] <= 0x3F:
+            return at, None
+    return 0, None
+
+
+def _meaning(parameters: str, final: str) -> Event | None:
+    if parameters.startswith("?"):
+        if final == "u" and parameters[1:].isdecimal():
+            return KeyboardFlags(int(parameters[1:]))
+        return DeviceAttributes() if final == "c" else None
+    if not parameters and final in "IO":
+        return Focus(final == "I")
+    code, _, more = parameters.partition(";")
+    modifiers, _, event = more.partition(";")[0].partition(":")
+    kind = _KINDS.get(event)
+    if kind is None or (modifiers and not modifiers.isdecimal()):
+        return None
+    if final in _ARROWS:
+        # With whatever modifiers: Shift that is let go first must not hide the release of the arrow.
+        return Key(_ARROWS[final], kind)
+    number = code.partition(":")[0]
+    if final != "u" or not number.isdecimal():
+        return None
+    return _numbered(int(number), int(modifiers or 1) - 1, kind)
+
+
+def _numbered(number: int, modifiers: int, kind: Kind) -> Key | None:
+    """A key by its number in the kitty protocol, with Shift, Alt and Ctrl as bits."""
+    name = _NUMBERED.get(number)
+    if name is None:
+        if not 0x20 < number < 0xE000:
+            return None
+        name = chr(number).upper() if modifiers & _SHIFT else chr(number)
+    if modifiers & _CTRL:
+        name = f"ctrl+{name}"
+    elif modifiers & _ALT:
+        name = f"alt+{name}"
+    return Key(name, kind)
+
+
+def _shifted_function(data: bytes) -> tuple[int, Event | None]:
+    """ESC O and one character: the arrows of a terminal in application mode."""
+    if len(data) == 2:
+        return 0, None
+    name = _ARROWS.get(chr(data[2]))
+    if not 0x20 <= data[2] <= 0x7E:
+        return 2, None
+    return 3, Key(name) if name else None
+
+
+def _string(data: bytes) -> tuple[int, None]:
+    """An answer that nobody asked for, up to its terminator. It must not be read as keys."""
+    for at in range(2, len(data)):
+        if data[at] == 0x07:
+            return at + 1, None
+        if data[at] == _ESC and at + 1 < len(data):
+            return at + (2 if data[at + 1] == ord("\\") else 0), None
+    return 0, None
