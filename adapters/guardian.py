@@ -162,7 +162,7 @@ class Guardian:
         stop, clock = self._stops[controller], LiveClock()
         begun_ns = clock.now_ns()
         try:
-            done = await last_stop(open_link(self._controllers[controller].link, clock), stop, clock)
+            done = await last_stop(open_link(self._controllers[controller].reached_by, clock), stop, clock)
         except (LinkRefused, LinkClosed) as error:
             self._log.info(f"NOT stopped: {error}", level="error", controller=controller)
         except Exception as error:

@@ -167,7 +167,7 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
             Keys(fleet.fleet),
             clock,
             firer,
-            lambda _, config: open_link(config.link, clock),
+            lambda _, config: open_link(config.reached_by, clock),
             lambda controller: FileStore(chosen.state / f"{controller}.json"),
             sink,
             uuid4().hex,

@@ -33,15 +33,18 @@ def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
             print_json({name: now.to_plain() for name, (_, now) in rows.items()})
             return
         table = Table(box=None, header_style="bold")
-        for heading in ("axis", "position", "unit", "motor", "referenced", "moving", "limit"):
-            table.add_column(heading, justify="right" if heading == "position" else "left")
+        numbers = ("position", "motor position", "counts")
+        for heading in ("axis", "position", "unit", *numbers[1:], "motor", "referenced", "moving", "limit"):
+            table.add_column(heading, justify="right" if heading in numbers else "left")
         for name, (state, now) in rows.items():
             if state.mode == "offline":
-                table.add_row(name, "-", now.unit, "offline", "", "", "")
+                table.add_row(name, "-", now.unit, "", "", "offline", "", "", "")
                 continue
             motor, known = "on" if now.enabled else "off", "yes" if now.referenced else "no"
             moving = "yes" if now.moving else ""
-            table.add_row(name, f"{now.position:.4f}", now.unit, motor, known, moving, now.limit.replace("none", ""))
+            user, machine = f"{now.position:.4f}", f"{now.motor_position:.4f}"
+            limit = now.limit.replace("none", "")
+            table.add_row(name, user, now.unit, machine, f"{now.raw_counts:.0f}", motor, known, moving, limit)
         console.print(table)
 
     with_fleet(connect, fleet, act)
@@ -106,19 +109,39 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 @fleet_options
 def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, connect: str, fleet: str | None) -> None:
     """Move axes together to, or with --relative by, VALUE in the axis's unit or a unit of its own."""
-    wanted: dict[str, str | float] = {}
-    for target in targets:
-        name, equals, value = target.partition("=")
-        if not equals or not value:
-            raise click.BadParameter(f"{target!r}: write AXIS=VALUE, e.g. gantry.x=120", param_hint="TARGETS")
-        wanted[name] = _number_or_text(value)
+    wanted = _targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
     run_step(connect, fleet, step, "there")
+
+
+@axis.command("set-position", epilog="Example: tutti axis set-position gantry.x=0 stage.u=\"2.5 mm\"")
+@click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
+@click.option("--clear", is_flag=True, help="Take the offsets of the AXES away: user positions are motor positions.")
+@fleet_options
+def set_position(positions: tuple[str, ...], clear: bool, connect: str, fleet: str | None) -> None:
+    """Call the place where AXIS stands VALUE, from now on and for everybody. Nothing moves.
+
+    This sets the user offset of the axis. Soft limits, which are motor positions, do not shift with it.
+    """
+    axes: dict[str, str | float | None] = {}
+    axes |= dict.fromkeys(positions) if clear else _targets(positions, "POSITIONS")
+    run_step(connect, fleet, {"do": "set-position", "axes": axes}, "set")
 
 
 # What is moved by hand is stopped like anything else: one stop for all.
 axis.add_command(stop)
 axis.add_command(jog)
+
+
+def _targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
+    """Values by axis, from AXIS=VALUE."""
+    wanted: dict[str, str | float] = {}
+    for target in targets:
+        name, equals, value = target.partition("=")
+        if not equals or not value:
+            raise click.BadParameter(f"{target!r}: write AXIS=VALUE, e.g. gantry.x=120", param_hint=what)
+        wanted[name] = _number_or_text(value)
+    return wanted
 
 
 def _number_or_text(value: str) -> float | str:

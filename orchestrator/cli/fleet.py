@@ -5,7 +5,7 @@ from typing import Any
 import click
 
 from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, errors, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
@@ -66,14 +66,31 @@ def estop(connect: str, fleet: str | None, as_json: bool, reason: str) -> None:
 
 
 @click.command(epilog="Example: tutti reset && tutti status")
+@click.argument("event", required=False)
 @fleet_options
 @json_option
-def reset(connect: str, fleet: str | None, as_json: bool) -> None:
-    """Release the e-stop latch of every controller and clear the faults that can be cleared."""
+def reset(event: str | None, connect: str, fleet: str | None, as_json: bool) -> None:
+    """Release the e-stop named EVENT on every controller, and clear the faults that can be cleared.
+
+    Without EVENT the one that is latched is meant; if there are several, they are listed and none is released.
+    Every controller is asked first whether it is safe: if one says no, none is released.
+    """
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
-        _tell(await tutti.reset(), "reset", as_json)
+        latched = {state.estop.event: state.estop for state in (await tutti.status()).values() if state.estop}
+        if event is not None and event not in latched:
+            fail(f"no e-stop {event} is latched; latched: {', '.join(latched) or 'none'}", FAILED)
+        if event is None and len(latched) > 1:
+            for name, latch in latched.items():
+                errors.print(f"{name}: by {latch.actor}: {latch.reason}", markup=False)
+            fail("several e-stops are latched", FAILED, "say which: `tutti reset EVENT`")
+        for name in latched if event is None else [event]:
+            if not as_json:
+                console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)
+        answers = await tutti.reset(event)
+        refused = any(answers.values())
+        _tell(answers, "still latched, because of another" if refused and latched else "reset", as_json)
 
     with_fleet(connect, fleet, act)
 

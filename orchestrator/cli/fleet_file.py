@@ -1,16 +1,20 @@
 """`tutti fleet …`: fleet files."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, fleet_options, with_fleet
 
+if TYPE_CHECKING:
+    from orchestrator.model.fleet import Fleet
+
 
 @click.group(epilog="Example: tutti fleet check lab3.fleet.yaml")
 def fleet() -> None:
-    """Check fleet files, offline and against the units that are there."""
+    """Check fleet files, offline and against the units that are there; give the running fleet another one."""
 
 
 @fleet.command(epilog="Example: tutti fleet check lab3.fleet.yaml --live")
@@ -19,20 +23,15 @@ def fleet() -> None:
 @fleet_options
 def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
     """Check FILE: its form, its references, and each controller's part by its make's own rules."""
-    from orchestrator.cli.common import run
     from orchestrator.client import Tutti
-    from orchestrator.lab.checked import load_checked_fleet
 
-    async def offline() -> None:
-        loaded = load_checked_fleet(file)
-        console.print(f"{file}: {len(loaded.controllers)} controllers, {len(loaded.axis_names)} axes: no problem found")
-
-    run(offline())
+    loaded = load_or_fail(file)
+    console.print(f"{file}: {len(loaded.controllers)} controllers, {len(loaded.axis_names)} axes: no problem found")
     if not live:
         return
 
     async def act(tutti: Tutti) -> None:
-        loaded, wrong = load_checked_fleet(file), 0
+        wrong = 0
         states = await tutti.status()
         for name, config in loaded.controllers.items():
             state = states.get(name)
@@ -50,4 +49,38 @@ def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
         if wrong:
             raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet or load_checked_fleet(file).fleet, act)
+    with_fleet(connect, fleet or loaded.fleet, act)
+
+
+@fleet.command(epilog="Example: tutti fleet reload lab3.fleet.yaml")
+@click.argument("file", type=click.Path(path_type=Path))
+@fleet_options
+def reload(file: Path, connect: str, fleet: str | None) -> None:
+    """Give the running fleet the fleet file FILE, without ending anything.
+
+    Only idle controllers that no job and nobody holds take another configuration; if one refuses, none changes. Their
+    axes must be homed again. Controllers that come or go, or another link, adapter or host, need a new `tutti up`.
+    """
+    from orchestrator.client import Tutti
+
+    loaded = load_or_fail(file)
+
+    async def act(tutti: Tutti) -> None:
+        changed = await tutti.reload(loaded)
+        for name in changed:
+            console.print(f"{name}: has the new configuration; home its axes again")
+        if not changed:
+            console.print("no controller has changed")
+
+    with_fleet(connect, fleet or loaded.fleet, act)
+
+
+def load_or_fail(file: Path) -> "Fleet":
+    """The checked fleet file; a wrong one ends the command with its message."""
+    from orchestrator.cli.common import run
+    from orchestrator.lab.checked import load_checked_fleet
+
+    async def load() -> "Fleet":
+        return load_checked_fleet(file)
+
+    return run(load())

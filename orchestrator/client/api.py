@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import ROOT, Keys
 from orchestrator.model.base import Model
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
 from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
-from orchestrator.model.service import JobRef, JobShown, ListJobs, StopFleet, Submit, Submitted
+from orchestrator.model.service import JobRef, JobShown, ListJobs, Reload, Reloaded, StopFleet, Submit, Submitted
 from orchestrator.model.state import ControllerState, Info
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ M = TypeVar("M", bound=Model)
 ANSWER_S = 3.0
 STOP_LOOK_S = 0.3  # for seeing whom to stop: an adapter that takes longer to say that it is there hangs
 DRY_RUN_S = 30.0
+RELOAD_S = 60.0
 
 
 class Refused(Exception):
@@ -168,16 +170,31 @@ class Tutti:
             pass
         return latched
 
-    async def reset(self) -> dict[str, Refusal | None]:
-        """Release the e-stop latch of every controller and clear its faults. What each answered, by id."""
+    async def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
+        """Release the e-stop latch named `event` (None: any) on every controller, and clear what can be cleared.
+
+        All are asked first whether it is safe; if one says no, none is released. What each answered, by id.
+        """
         controllers = list(await self.status())
-        request = Reset(**self.fields())
-        asked = [self.command(controller, "reset", request, Reply) for controller in controllers]
-        replies = await asyncio.gather(*asked, return_exceptions=True)
-        return {
-            controller: reply.refusal if isinstance(reply, Refused) else None
-            for controller, reply in zip(controllers, replies, strict=True)
-        }
+        answers: dict[str, Refusal | None] = {}
+        for check in (True, False):
+            asked = [
+                self.command(controller, "reset", Reset(**self.fields(), event=event, check=check), Reply)
+                for controller in controllers
+            ]
+            replies = await asyncio.gather(*asked, return_exceptions=True)
+            answers = {
+                controller: reply.refusal if isinstance(reply, Refused) else None
+                for controller, reply in zip(controllers, replies, strict=True)
+            }
+            if any(answers.values()):
+                break
+        return answers
+
+    async def reload(self, fleet: Fleet) -> list[str]:
+        """Give the running fleet another fleet file; the controllers that have changed. Raises `Refused`."""
+        request = Reload(**self.fields(), configuration=fleet.to_plain())
+        return (await self.service("reload", request, Reloaded, RELOAD_S)).changed
 
     async def info(self, controller: str) -> Info:
         """Who a controller is, what it can do, and the configuration that its adapter holds. Raises `Refused`."""

@@ -50,8 +50,7 @@ ADOPT_S = 2.0
 class Court:
     """What a coordinator is given: everything that differs between live and virtual.
 
-    save_fleet: keeps a reloaded fleet for the next start. simulated_links: links lead to simulators, and stay when
-    a fleet file is reloaded.
+    save_fleet: keeps a reloaded fleet for the next start.
     """
 
     bus: Bus
@@ -62,7 +61,6 @@ class Court:
     new_id: Callable[[], str]
     sink: Sink
     save_fleet: Callable[[Fleet], None]
-    simulated_links: bool = False
 
 
 class Coordinator:
@@ -96,7 +94,7 @@ class Coordinator:
             self._log,
         )
         self._hands = Hands(self._view, self._leases, permits)
-        self._reloading = Reloading(self._view, members, self._leases, clock, court.simulated_links, court.save_fleet)
+        self._reloading = Reloading(self._view, members, self._leases, clock, court.save_fleet)
         self._adopting: set[str] = set()
         self._adopted: dict[str, str] = {}
         self._declared: list[Declared] = []

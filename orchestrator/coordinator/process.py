@@ -44,7 +44,6 @@ async def run(options: argparse.Namespace) -> int:
         new_id=lambda: uuid.uuid4().hex,
         sink=file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
-        simulated_links=options.simulated_links,
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -78,7 +77,6 @@ def main() -> int:
     parser.add_argument("--journal", type=Path, required=True)
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="reign although another coordinator does")
-    parser.add_argument("--simulated-links", action="store_true", help="keep the links when the file is reloaded")
     parser.add_argument("--parent", type=int, default=0, help="end when this process does")
     options = parser.parse_args()
     if options.parent:

@@ -13,11 +13,11 @@ from orchestrator.model.messages import ConfigureRequest, Reply
 ANSWER_S = 3.0
 ANEW_NS = 10 * NS_PER_S  # for a controller to be reached and adopted with its new configuration
 LOOK_NS = 50 * NS_PER_MS
-MUST_STAY = ("adapter", "host")
+MUST_STAY = ("adapter", "host", "link")
 
 
 class Reloading:
-    """Reloads the fleet of `view`. simulated: links are those of simulators, and stay. save: keeps a taken file."""
+    """Reloads the fleet of `view`. save: keeps a taken file."""
 
     def __init__(
         self,
@@ -25,14 +25,12 @@ class Reloading:
         members: Members,
         leases: LeaseBook,
         clock: Clock,
-        simulated: bool,
         save: Callable[[Fleet], None],
     ) -> None:
         self._view = view
         self._members = members
         self._leases = leases
         self._clock = clock
-        self._simulated = simulated
         self._save = save
 
     async def reload(self, fresh: Fleet, actor: str) -> list[str]:
@@ -57,7 +55,7 @@ class Reloading:
         return list(changed)
 
     def _comparable(self, fresh: Fleet) -> Fleet:
-        """`fresh` with the links in use, if all that can not change while the fleet is up is the same."""
+        """`fresh` with the simulators in use, if all that can not change while the fleet is up is the same."""
         old = self._view.fleet
         if fresh.fleet != old.fleet:
             raise Refuse("other-fleet", f"the file is of fleet {fresh.fleet}, this is {old.fleet}", "choose its file")
@@ -71,7 +69,7 @@ class Reloading:
         controllers: dict[str, Controller] = {}
         for name, config in fresh.controllers.items():
             running = old.controllers[name]
-            for field in MUST_STAY if self._simulated else (*MUST_STAY, "link"):
+            for field in MUST_STAY:
                 if getattr(config, field) != getattr(running, field):
                     raise Refuse(
                         "other-place",
@@ -79,7 +77,7 @@ class Reloading:
                         "end `tutti up` and start it with the new file",
                         name,
                     )
-            controllers[name] = config.model_copy(update={"link": running.link})
+            controllers[name] = config.model_copy(update={"simulate": running.simulate})
         return fresh.model_copy(update={"controllers": controllers})
 
     async def _configure(self, changed: dict[str, Controller], actor: str, check: bool) -> None:

@@ -137,7 +137,8 @@ class LiveFleet:
                 if place["kind"] == "tcp"
                 else config.link.model_copy(update={"device": place["device"]})
             )
-            controllers[name] = config.model_copy(update={"link": link})
+            simulate = config.simulate.model_copy(update={"link": link})
+            controllers[name] = config.model_copy(update={"simulate": simulate})
             self.say(f"{name}: simulated {config.adapter} on {link.place}")
         self.fleet = self.fleet.model_copy(update={"controllers": controllers})
 
@@ -195,7 +196,6 @@ class LiveFleet:
         command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
         command += ["--connect", self.connect, "--journal", str(self.state / "journal.sqlite3")]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
-        command += ["--simulated-links"] if self.simulated else []
         return [*command, "--take-over"] if self.take_over else command
 
     # Children

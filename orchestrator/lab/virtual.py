@@ -229,7 +229,6 @@ class VirtualFleet:
             new_id=self.new_id,
             sink=self.lines.append,
             save_fleet=self._take_fleet,
-            simulated_links=True,
         )
 
     def _take_fleet(self, fleet: Fleet) -> None:

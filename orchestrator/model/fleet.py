@@ -246,6 +246,7 @@ class Simulation(Model):
     drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
     hold_ms: float = Field(default=0.0, ge=0, le=100, description="Receive delay of a USB serial adapter, at most.")
+    link: Link | None = Field(default=None, description="Where the simulator listens; filled in by `--sim`.")
 
 
 class Controller(Model):
@@ -285,6 +286,11 @@ class Controller(Model):
                 known = ", ".join(self.outputs) or "none"
                 raise ValueError(f"axes.{name}.brake.output: the controller has no output {output}; it has: {known}")
         return self
+
+    @property
+    def reached_by(self) -> TcpLink | SerialLink:
+        """The link to open: that of the controller, or of the simulator that stands in for it."""
+        return self.simulate.link or self.link
 
     @cached_property
     def digest(self) -> str:
