@@ -164,7 +164,7 @@ class JogPanel:
         lease = self.leases.get(f"{controller}/{name}") or self.leases.get(controller)
         if lease is None or lease.holder != holder:
             return holder
-        return f"{lease.actor}, {lease.what}" if lease.what else lease.actor
+        return f"{lease.actor} ({lease.what})" if lease.what else lease.actor
 
     # What is heard
 

@@ -6,7 +6,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.cli.hold import SILENT_NS, WAIT_NS
+from orchestrator.cli.hold import SILENT_NS, TAP_NS, WAIT_NS
 from orchestrator.cli.jog_panel import IDLE_NS, JogPanel
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
@@ -15,6 +15,8 @@ from orchestrator.model.units import parse_quantity
 
 STALE_NS = 2 * NS_PER_S  # without a word of a controller that speaks several times a second
 WIDE = 100  # columns from which there is room for wider gaps
+# So that columns do not wander while figures grow.
+_LEAST = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
 BESIDE = 14  # lines of the screen that are not rows of axes
 
 _LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
@@ -41,12 +43,12 @@ def _head(panel: JogPanel) -> RenderableType:
 
 def _axes(panel: JogPanel, now_ns: int, columns: int, rows: int) -> Table:
     """One row an axis; as many as there is room for, around the chosen one."""
-    table = Table(
-        box=None, header_style="bold underline", pad_edge=False, padding=(0, 2 if columns >= WIDE else 1, 0, 0)
-    )
-    for name in ("", "axis", "position>", "velocity>", "motor", "ref.", "limit", "− room>", "+ room>", "held by"):
-        right = name.endswith(">")
-        table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True)
+    gap = 2 if columns >= WIDE else 1
+    table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, gap, 0, 0), expand=True)
+    for name in ("", "axis", "position>", "velocity>", "motor", "ref.", "limit", "− room>", "+ room>"):
+        right, least = name.endswith(">"), _LEAST.get(name)
+        table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True, min_width=least)
+    table.add_column("held by", ratio=1, no_wrap=True, overflow="ellipsis")
     names = list(panel.axes)
     room = max(1, rows - BESIDE)
     first = max(0, min(panel.chosen - room // 2, len(names) - room))
@@ -59,7 +61,7 @@ def _axes(panel: JogPanel, now_ns: int, columns: int, rows: int) -> Table:
 def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
     now, axis = panel.now(name), panel.axes[name]
     mark, by = "▸" if name == panel.axis else "", panel.held_by(name)
-    held_by = Text(by, style="bold cyan" if by == "you" else "yellow", overflow="ellipsis")
+    held_by = Text(by, style="bold cyan" if by == "you" else "yellow")
     if now is None or _stale(panel, name, now_ns):
         gone = "offline" if now is None else "silent"
         return [mark, name, "-", "-", Text(gone, style="red"), "", "", "", "", held_by]
@@ -68,7 +70,7 @@ def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
         mark,
         name,
         f"{now.position:,.3f} {now.unit}",
-        f"{now.velocity:,.2f}",
+        f"{now.velocity:,.2f} /s",
         Text("on", style="green") if now.enabled else Text("off", style="yellow"),
         Text("yes", style="green") if now.referenced else Text("no", style="yellow"),
         Text(_LIMITS[now.limit], style="bold red"),
@@ -115,7 +117,7 @@ def _motion(panel: JogPanel) -> RenderableType:
         Text.assemble(
             "speed  ",
             ("━" * filled, "cyan"),
-            ("━" * (20 - filled), "dim"),
+            ("─" * (20 - filled), "dim"),
             f"  {panel.fraction:.0%} = ",
             (f"{panel.speed():.4g} {unit}/s", "bold"),
             f" of {most:.4g} {unit}/s{why}",
@@ -160,24 +162,24 @@ def _keys() -> RenderableType:
     for key, meaning in (
         ("←/→", "jog while held"),
         ("↑/↓", "axis"),
-        ("+/- 1…9", "speed"),
-        ("space", "stop"),
+        ("+ - 1…9", "speed"),
+        ("space", "stop\n"),
         ("s", "stop the fleet"),
         ("!", "e-stop"),
         ("q", "leave"),
     ):
-        text.append(key, style="bold").append(f" {meaning}   ", style="dim")
+        text.append(key, style="bold").append(f" {meaning}   ".replace("\n   ", "\n"), style="dim")
     return text
 
 
 def _release(releases: bool) -> RenderableType:
-    idle = f"After {IDLE_NS / NS_PER_S:g} s at rest others may have the axis."
     if releases:
         silent = f"{SILENT_NS / NS_PER_S:g} s"
-        text = f"Releases are reported: let go, and the axis slows down at once; or after {silent} without repeats."
+        text = f"Releases are reported: the axis slows down when you let go, or after {silent} without repeats."
     else:
-        wait = f"{WAIT_NS / NS_PER_MS:g} ms"
         text = (
-            f"Releases are not reported by this terminal: tap, or hold. Let go, and the axis slows down within {wait}."
+            "Tap, or hold: this terminal reports no releases. The axis slows down within "
+            f"{WAIT_NS / NS_PER_MS:g} ms after you let go, a tap after {TAP_NS / NS_PER_MS:g} ms."
         )
+    idle = f"After {IDLE_NS / NS_PER_S:g} s at rest others may have it."
     return Text(f"{text} {idle}", style="dim")

@@ -10,10 +10,11 @@ async with tutti.by_hand(["gantry.x"], what="alignment") as hand:
 
 import asyncio
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Self
 
 from orchestrator.client.api import Refused
+from orchestrator.model.fleet import by_controller
 from orchestrator.model.messages import JogRequest, Refusal, Reply
 from orchestrator.model.service import GiveBack, Take, Taken
 
@@ -143,8 +144,12 @@ class Hand:
         self._seq += 1
         loop = asyncio.get_running_loop()
         return [
-            loop.create_task(self._ask(controller, part, self._seq, renew, valid_ms))
-            for controller, part in by_controller(velocities.items()).items()
+            loop.create_task(
+                self._ask(
+                    controller, {name: velocities[f"{controller}.{name}"] for name in names}, self._seq, renew, valid_ms
+                )
+            )
+            for controller, names in by_controller(velocities).items()
         ]
 
     async def _ask(self, controller: str, velocities: dict[str, float], seq: int, renew: bool, valid_ms: int) -> None:
@@ -157,12 +162,3 @@ class Hand:
             valid_ms=valid_ms,
         )
         await self._tutti.command(controller, "jog", request, Reply, ANSWER_S)
-
-
-def by_controller(velocities: Iterable[tuple[str, float]]) -> dict[str, dict[str, float]]:
-    """Velocities by axis, for each controller."""
-    parts: dict[str, dict[str, float]] = {}
-    for name, velocity in velocities:
-        controller, _, axis = name.partition(".")
-        parts.setdefault(controller, {})[axis] = velocity
-    return parts

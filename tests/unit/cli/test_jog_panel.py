@@ -319,5 +319,5 @@ def test_who_holds_an_axis() -> None:
     desk.panel.hear(state(leases={"x": HOLDER, "y": "hand-2"}), desk.now_ns)
     assert desk.panel.held_by("gantry.y") == "hand-2"
     desk.panel.hear_lease(Lease(controller="gantry", axis="y", holder="hand-2", actor="ann", what="jog panel", epoch=1))
-    assert desk.panel.held_by("gantry.y") == "ann, jog panel"
+    assert desk.panel.held_by("gantry.y") == "ann (jog panel)"
     assert desk.panel.held_by("stage.x") == ""
