@@ -1,5 +1,6 @@
 """One axis: its registers, what it is commanded to do, and where its encoder is."""
 
+from collections.abc import Callable
 from math import inf
 from typing import Protocol
 
@@ -7,6 +8,8 @@ from sim.core.controller import Motion
 from sim.yaskawa import fixed
 from sim.yaskawa.gear import Gear
 from sim.yaskawa.profile import ACCELERATION_UNIT, SPEED_UNIT, Profile
+
+NO_ABSOLUTE = -2147483648
 
 
 class Path(Protocol):
@@ -20,8 +23,10 @@ class Path(Protocol):
 class Axis:
     """Axis X, Y, Z, W or the virtual N. All instants are in samples, all positions in counts."""
 
-    def __init__(self, name: str, index: int) -> None:
+    def __init__(self, name: str, index: int, lag: int) -> None:
         self.name = name
+        self.lag = lag
+        """Samples from a command to the encoder's reading of it."""
         self.index = index
         self.virtual = name == "N"
         self.registers: dict[str, int] = {}
@@ -55,6 +60,8 @@ class Axis:
         self.gear = Gear()
         self.modulus = 0
         """Cycle in which positions are reported under ECAM, 0 for none (L13736)."""
+        self.turned: Callable[[], int] | None = None
+        """For a slave that counts by the master's turns: what the turns up to now have moved it (SMC-2000: L8449)."""
         self.auxiliary = 0
         self.shift = 0
         """Sum of all redefinitions of the position, so that followers do not see them."""
@@ -63,6 +70,10 @@ class Axis:
         self.latched = 0
         self.home_stage = 0
         self.off_on_error = False
+        self.absolute = NO_ABSOLUTE
+        """What AE has read (SMC-2000: L12250), counts."""
+        self.turns = 0
+        """The revolutions in it."""
         self.motion: Motion | None = None
 
     @property
@@ -91,18 +102,20 @@ class Axis:
         return fixed.wrapped(fixed.rounded(self.command(sample)))
 
     def actual(self, sample: int) -> int:
-        """Encoder position: that of the command one sample before, or where it froze (D63)."""
-        return self.frozen if self.frozen is not None else self.reference(sample - 1)
+        """Encoder position: that of the command `lag` samples before, or where it froze (D63)."""
+        return self.frozen if self.frozen is not None else self.reference(sample - self.lag)
 
     def reported(self, counts: int) -> int:
         """`counts` in the cycle of a cam."""
+        if self.turned is not None:
+            return counts - self.turned()
         return counts % self.modulus if self.modulus else counts
 
     def travel(self, at: float, commanded: bool) -> float:
         """Position that a follower sees: it does not jump when the position is redefined."""
         if commanded or self.virtual:
             return self.command(at) - self.shift
-        return (self.frozen if self.frozen is not None else self.command(at - 1)) - self.shift
+        return (self.frozen if self.frozen is not None else self.command(at - self.lag)) - self.shift
 
     def physical(self, sample: int) -> int:
         """Physical position: 0 at power-up, not changed by redefinitions."""

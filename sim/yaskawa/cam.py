@@ -9,7 +9,10 @@ class Cam:
     """Master, table and cycles. Positions in counts. points: how many entries the table has."""
 
     points: int
+    master_cycle: int | None = None
+    """Of MM; None where EM sets the master's cycle too."""
     master: str | None = None
+    """An axis, or D and an axis for its auxiliary encoder."""
     enabled: bool = False
     index: int = 0
     interval: int = 256
@@ -23,15 +26,20 @@ class Cam:
     @property
     def cycle(self) -> int:
         """The master's cycle; 0 when none is defined."""
-        return self.cycles.get(self.master or "", 0)
+        return self.cycles.get((self.master or "")[-1:], 0) if self.master_cycle is None else self.master_cycle
 
     def store(self, slave: str, index: int, value: int) -> None:
         self.table.setdefault(slave, [0] * self.points)[index] = value
 
+    def turns(self, master: float) -> int:
+        """Whole cycles up to an unmodularised master position."""
+        return int((master - self.start) // self.cycle) if self.cycle else 0
+
     def value(self, slave: str, master: float) -> float:
         """The slave's position for an unmodularised master position, cycles added up (D58: linear between points)."""
         table = self.table.get(slave) or [0] * self.points
-        turns, rest = divmod(master - self.start, self.cycle) if self.cycle else (0.0, max(master - self.start, 0.0))
+        turns = self.turns(master)
+        rest = master - self.start - turns * self.cycle if self.cycle else max(master - self.start, 0.0)
         index = min(int(rest // self.interval), self.points - 2)
         share = (rest - index * self.interval) / self.interval
         low, high = table[index], table[index + 1]

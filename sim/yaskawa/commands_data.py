@@ -9,11 +9,11 @@ from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator, compile_expression, integer
 from sim.yaskawa.formats import Format, Layout
-from sim.yaskawa.registry import Outcome, Runner, bare, command
+from sim.yaskawa.ports import END_OF_TEXT
+from sim.yaskawa.registry import COMMANDS, Command, Outcome, Runner, bare, command
 from sim.yaskawa.statements import Raw, local_format
 
 _BRACES = re.compile(r"\{[^{}]*\}")
-_END_OF_TEXT = "\x1a"
 
 
 @command("PF")
@@ -135,7 +135,7 @@ def _part(text: str) -> Part:
     if text.startswith("{"):
         raise CommandError(53)
     body, _, form = text.partition("{")
-    value = compile_expression(body)
+    value = compile_expression(body.removesuffix("="))
     if form:
         write = local_format("{" + form)
         return lambda c: write(c, value(c))
@@ -187,7 +187,8 @@ def array_name(text: str) -> str:
     return text[:-2]
 
 
-def _span(c: Context, size: int, given: list[int | None]) -> tuple[int, int]:
+def span(c: Context, size: int, given: list[int | None]) -> tuple[int, int]:
+    """First and last element of a transfer."""
     first = 0 if given[0] is None else fixed.truncated(given[0])
     last = size - 1 if given[1] is None else fixed.truncated(given[1])
     if not 0 <= first <= last < size:
@@ -202,12 +203,13 @@ def _download_array(text: str) -> Runner:
     fields = values(parse_fields(",".join(rest), 2))
 
     def run(c: Context) -> Outcome:
-        if c.port is None:
+        port = c.port or (None if c.machine.model.still_data else c.machine.ports.serial)
+        if port is None:
             raise CommandError(3)
-        if c.machine.motion.active():
+        if c.machine.model.still_data and c.machine.motion.active():
             raise CommandError(7)
         array = c.machine.data.array(name)
-        first, last = _span(c, len(array), [*fields(c), None])
+        first, last = span(c, len(array), [*fields(c), None])
 
         def finish(loaded: str) -> None:
             parts = [part for part in re.split(r"[,\r\n]+", loaded) if part.strip()]
@@ -221,7 +223,7 @@ def _download_array(text: str) -> Runner:
                 raise CommandError(84)
             array[first : first + len(numbers)] = numbers
 
-        c.port.download = finish
+        port.download = finish
         return None
 
     return run
@@ -238,10 +240,10 @@ def _upload_array(text: str) -> Runner:
             raise CommandError(7)
         array = c.machine.data.array(name)
         given = [*fields(c), None, None]
-        first, last = _span(c, len(array), given)
+        first, last = span(c, len(array), given)
         comma = given[2] is not None and fixed.truncated(given[2]) == 1
         numbers = [c.machine.position_format.write(raw, c.machine.layout) for raw in array[first : last + 1]]
-        written = (",".join(numbers) if comma else "\r".join(numbers)) + ("" if comma else "\r") + _END_OF_TEXT
+        written = (",".join(numbers) if comma else "\r".join(numbers)) + ("" if comma else "\r") + END_OF_TEXT
         if c.port is None:
             c.machine.ports.message(written)
             return None
@@ -310,8 +312,10 @@ def _record(text: str) -> Runner:
 # Listings and the program
 
 
-def _listing(op: str, lines: Callable[[Context], list[str]]) -> None:
-    @command(op)
+def listing(op: str, lines: Callable[[Context], list[str]], table: dict[str, Command] = COMMANDS) -> None:
+    """Enter a command that tells lines of text."""
+
+    @command(op, table=table)
     def compile_listing(text: str) -> Runner:
         bare(text.removeprefix("?"))
 
@@ -327,9 +331,9 @@ def _listing(op: str, lines: Callable[[Context], list[str]]) -> None:
     del compile_listing
 
 
-_listing("LA", lambda c: c.machine.data.list_arrays())
-_listing("LL", lambda c: c.machine.program.list_labels())
-_listing("LV", lambda c: c.machine.data.list_variables())
+listing("LA", lambda c: c.machine.data.list_arrays())
+listing("LL", lambda c: c.machine.program.list_labels())
+listing("LV", lambda c: c.machine.data.list_variables())
 
 
 @command("LS", where="line", lock="13")
@@ -361,7 +365,7 @@ def _place(text: str) -> Callable[[Context], int]:
 @command("UL", where="line", lock="13")
 def _upload(text: str) -> Runner:
     bare(text)
-    return lambda c: Raw("".join(f"{line}\r\n" for line in c.machine.program.lines) + _END_OF_TEXT + "\r\n")
+    return lambda c: Raw("".join(f"{line}\r\n" for line in c.machine.program.lines) + END_OF_TEXT + "\r\n")
 
 
 @command("DL", where="line", lock="1")

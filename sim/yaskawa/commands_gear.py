@@ -14,6 +14,7 @@ from sim.yaskawa.registry import Outcome, Runner, command
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
+    from sim.yaskawa.motion import MotionControl
 
 
 def select_master(machine: "Machine", axis: Axis, source: str) -> None:
@@ -121,20 +122,26 @@ def _cam_enable(text: str) -> Runner:
         if wanted:
             if cam.master is None:
                 raise CommandError(102)
-            if cam.cycle > 1024 * cam.interval:
+            if cam.cycle > (cam.points - 1) * cam.interval:
                 raise CommandError(103)
-            motion.axes[cam.master].modulus = cam.cycle
+            modularise(motion, cam.cycle)
         else:
             now = c.machine.timebase.next_sample()
             for name in tuple(cam.followers):
                 motion.disengage(motion.axes[name], now)
             cam.waiting.clear()
-            if cam.master is not None:
-                motion.axes[cam.master].modulus = 0
+            modularise(motion, 0)
         cam.enabled = bool(wanted)
         return None
 
     return run
+
+
+def modularise(motion: "MotionControl", cycle: int) -> None:
+    """The master axis is reported within its cycle (0: no more); an auxiliary encoder is not."""
+    master = motion.axes.get(motion.cam.master or "")
+    if master is not None:
+        master.modulus = cycle
 
 
 @command("EC")
@@ -208,8 +215,10 @@ def _cam_table(text: str) -> Runner:
     return run
 
 
-def _engagement(op: str) -> Callable[[str], Runner]:
-    def compile_engagement(text: str) -> Runner:
+def engagement(op: str) -> Callable[[str], Runner]:
+    """The compiler of EG or EQ."""
+
+    def compileengagement(text: str) -> Runner:
         if not text:
             raise CommandError(50)
         form = parse_form(text)
@@ -252,7 +261,7 @@ def _engagement(op: str) -> Callable[[str], Runner]:
 
         return run
 
-    return compile_engagement
+    return compileengagement
 
 
 def waiting(c: Context, name: str) -> int:
@@ -261,5 +270,5 @@ def waiting(c: Context, name: str) -> int:
     return 0 if wait is None else 1 if wait[0] == "EG" else 2
 
 
-command("EG")(_engagement("EG"))
-command("EQ")(_engagement("EQ"))
+command("EG")(engagement("EG"))
+command("EQ")(engagement("EQ"))

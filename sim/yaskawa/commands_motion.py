@@ -198,7 +198,8 @@ def _define_auxiliary(c: Context, given: list[tuple[Axis, int]]) -> None:
         axis.auxiliary = fixed.truncated(raw)
 
 
-def _increment(c: Context, given: list[tuple[Axis, int]]) -> None:
+def increment(c: Context, given: list[tuple[Axis, int]]) -> None:
+    """`IP`: at rest a move, in a move a farther target, in a jog a jump."""
     machine, motion = c.machine, c.machine.motion
     now, at = machine.now(), machine.timebase.next_sample()
     for axis, raw in given:
@@ -238,7 +239,7 @@ def _show_encoder(c: Context, axis: Axis) -> str:
 
 form_command("DP", _show_encoder, _define)
 form_command("DE", lambda c, axis: c.machine.show_counts(axis.auxiliary), _define_auxiliary)
-form_command("IP", _show_reference, _increment)
+form_command("IP", _show_reference, increment)
 
 
 @command("AE")
@@ -260,9 +261,12 @@ def _time_base(text: str) -> Runner:
     def run(c: Context) -> Outcome:
         period = value(c)
         low, high, step = c.machine.model.time_bases(len(c.machine.letters))
-        if not low <= abs(period) <= high or period < 0:
+        if period < 0 and c.machine.model.external_clock:
+            c.machine.timebase.set_period(period)
+        elif low <= period <= high:
+            c.machine.timebase.set_period(period // step * step)
+        else:
             raise CommandError(6)
-        c.machine.timebase.set_period(period // step * step)
         c.machine.rescheduled()
         return None
 

@@ -12,6 +12,7 @@ from sim.yaskawa.registry import COMMANDS, Command, Outcome, Runner
 
 Applied = Callable[[Context, Axis, str], None]
 Checked = Callable[[Context, Axis, str, int], None]
+Writer = Callable[[Context, list[tuple[Axis, int]]], None]
 
 
 def targets(c: Context, name: str) -> list[Axis]:
@@ -22,7 +23,8 @@ def targets(c: Context, name: str) -> list[Axis]:
 def form_command(
     op: str,
     read: Callable[[Context, Axis], str],
-    write: Callable[[Context, list[tuple[Axis, int]]], None],
+    write: Writer,
+    table: dict[str, Command] = COMMANDS,
 ) -> None:
     """Enter a command in the four forms with interrogation: `read` answers `?`, `write` sets."""
 
@@ -47,7 +49,7 @@ def form_command(
 
         return run
 
-    COMMANDS[op] = Command(compile_form)
+    table[op] = Command(compile_form)
 
 
 def enter_parameter(op: str, check: Checked | None = None, applied: Applied | None = None) -> None:
@@ -59,6 +61,12 @@ def enter_parameter(op: str, check: Checked | None = None, applied: Applied | No
             raise CommandError(51)
         layout = parameter.format or c.machine.position_format
         return layout.write(axis.registers[op], c.machine.layout)
+
+    form_command(op, read, parameter_writer(op, check, applied))
+
+
+def parameter_writer(op: str, check: Checked | None = None, applied: Applied | None = None) -> Writer:
+    """What sets a parameter of the table."""
 
     def write(c: Context, given: list[tuple[Axis, int]]) -> None:
         parameter = c.machine.model.parameters[op]
@@ -73,7 +81,7 @@ def enter_parameter(op: str, check: Checked | None = None, applied: Applied | No
             if applied is not None:
                 applied(c, axis, op)
 
-    form_command(op, read, write)
+    return write
 
 
 def accept(parameter: Parameter, axis: Axis, raw: int) -> int:
@@ -108,7 +116,7 @@ def _check_jog(c: Context, axis: Axis, op: str, raw: int) -> None:
         raise CommandError({"contour": 18, "sequence": 29}.get(axis.mode, 13))
 
 
-def _arm(c: Context, axis: Axis, op: str) -> None:
+def arm(c: Context, axis: Axis, op: str) -> None:
     axis.armed = op
 
 
@@ -126,6 +134,19 @@ def _gear_ratio(c: Context, axis: Axis, op: str) -> None:
 def _check_motor_type(c: Context, axis: Axis, op: str, raw: int) -> None:
     if abs(raw) not in (fixed.ONE, 2 * fixed.ONE, 5 * fixed.ONE // 2):
         raise CommandError(6)
+    if abs(raw) > fixed.ONE and not c.machine.options.can_step:
+        raise CommandError(96)
+
+
+def _check_stepper(c: Context, axis: Axis, op: str, raw: int) -> None:
+    fastest = c.machine.model.figures.stepper_fastest
+    if fastest and abs(axis.registers["MT"]) > fixed.ONE and abs(raw) > fastest * fixed.ONE:
+        raise CommandError(6)
+
+
+def _check_ratio(c: Context, axis: Axis, op: str, raw: int) -> None:
+    if raw and c.machine.gear_master in (axis.name, f"C{axis.name}"):
+        raise CommandError(46)
 
 
 def _check_filter(c: Context, axis: Axis, op: str, raw: int) -> None:
@@ -145,12 +166,12 @@ def _cycle(c: Context, axis: Axis, op: str) -> None:
 
 _SPECIAL: dict[str, tuple[Checked | None, Applied | None]] = {
     "AC": (None, _replan),
-    "SP": (None, _replan),
+    "SP": (_check_stepper, _replan),
     "DC": (_check_deceleration, _replan),
     "JG": (_check_jog, _jog),
-    "PR": (None, _arm),
-    "PA": (None, _arm),
-    "GR": (None, _gear_ratio),
+    "PR": (None, arm),
+    "PA": (None, arm),
+    "GR": (_check_ratio, _gear_ratio),
     "MT": (_check_motor_type, None),
     "FL": (None, _reschedule),
     "BL": (None, _reschedule),

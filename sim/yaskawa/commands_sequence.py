@@ -88,7 +88,8 @@ def _linear_mode(text: str) -> Runner:
 
 
 @command("VM")
-def _vector_mode(text: str) -> Runner:
+def vector_mode(text: str) -> Runner:
+    """`VM`: the plane and perhaps the tangent axis."""
     names = parse_axes(text, LETTERS + "N")
     if len(names) not in (0, 2, 3):
         raise CommandError(50)

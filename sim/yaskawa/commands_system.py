@@ -395,7 +395,7 @@ def _password(text: str) -> Runner:
 @command("LC", where="line")
 def _lock(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_whole(c.machine.locked, 1)
+        return lambda c: c.machine.show("LC", fixed.whole(c.machine.locked))
     password, _, level_text = text.partition(",")
     level = integer(level_text) if level_text else None
 
@@ -403,7 +403,7 @@ def _lock(text: str) -> Runner:
         if level is None:
             raise CommandError(50)
         number = level(c)
-        if not 0 <= number <= 3:
+        if not 0 <= number <= c.machine.model.lock_levels:
             raise CommandError(6)
         if password != c.machine.memory.password:
             raise CommandError(4)

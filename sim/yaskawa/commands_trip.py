@@ -9,7 +9,7 @@ from sim.yaskawa.commands_motion import chosen, resolve
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import integer
-from sim.yaskawa.registry import Outcome, Runner, command
+from sim.yaskawa.registry import COMMANDS, Command, Outcome, Runner, command
 from sim.yaskawa.trippoints import at_sample, at_speed, motion_complete, path_reached, place_reached, when
 
 
@@ -113,7 +113,11 @@ def _after_vector(text: str) -> Runner:
     return run
 
 
-def _place(op: str, go: Callable[[Axis, Context, int], Outcome], low: int) -> None:
+def enter_place(
+    op: str, go: Callable[[Axis, Context, int], Outcome], low: int, table: dict[str, Command] = COMMANDS
+) -> None:
+    """Enter a trip-point at a place of one axis; `low` is the least that it takes."""
+
     def compile_place(text: str) -> Runner:
         form = parse_form(text)
         if len(form) != 1:
@@ -130,7 +134,7 @@ def _place(op: str, go: Callable[[Axis, Context, int], Outcome], low: int) -> No
 
         return run
 
-    command(op)(compile_place)
+    command(op, table=table)(compile_place)
 
 
 def _absolute(axis: Axis, c: Context, place: int) -> Outcome:
@@ -144,7 +148,8 @@ def _direction(axis: Axis, now: int) -> int:
     return -1 if velocity < 0 or (velocity == 0 and axis.mode == "move" and axis.target < axis.command(now)) else 1
 
 
-def _distance(axis: Axis, c: Context, place: int) -> Outcome:
+def travelled(axis: Axis, c: Context, place: int) -> Outcome:
+    """`AD`: so far from the start of the move."""
     if not axis.moving:
         return None
     sign = _direction(axis, c.machine.now())
@@ -171,8 +176,8 @@ def _reverse(axis: Axis, c: Context, place: int) -> Outcome:
 
 
 _LEAST = -2147483648
-_place("AD", _distance, 0)
-_place("AR", _relative, 0)
-_place("AP", _absolute, _LEAST)
-_place("MF", _forward, _LEAST)
-_place("MR", _reverse, _LEAST)
+enter_place("AD", travelled, 0)
+enter_place("AR", _relative, 0)
+enter_place("AP", _absolute, _LEAST)
+enter_place("MF", _forward, _LEAST)
+enter_place("MR", _reverse, _LEAST)

@@ -80,7 +80,7 @@ class Controller:
         machine = self.machine
         machine.settle()
         found, instant = self._axis(axis), machine.timebase.instant()
-        if found.modulus or found.command_velocity(instant) == 0.0:
+        if found.modulus or found.turned is not None or found.command_velocity(instant) == 0.0:
             return float(found.reported(found.reference(machine.now())))
         return found.command(instant)
 
@@ -115,6 +115,11 @@ class Controller:
         return self.machine.motion.axes[canonical(name)]
 
 
+def refused(reply: bytes) -> bool:
+    """Whether a reply is a refusal: `?`, with or without CR LF (D1)."""
+    return reply.rstrip(b"\r\n").endswith(b"?")
+
+
 class Bench:
     """Implements `VectorBench`."""
 
@@ -130,8 +135,7 @@ class Bench:
         return self._controller.ports[0]
 
     def refused(self, reply: bytes) -> bool:
-        """A refusal is `?`, with or without CR LF (D1)."""
-        return reply.rstrip(b"\r\n").endswith(b"?")
+        return refused(reply)
 
     def given(self, truth: Mapping[str, object]) -> None:
         """Bring about the physical truth of a vector."""
@@ -150,6 +154,8 @@ class Bench:
         controller, machine = self._controller, self._controller.machine
         if key == "inputs":
             controller.set_input(int(name), bool(value))
+        elif key == "analog":
+            machine.world.analog[int(name) - 1] = float(str(value))
         elif key == "outputs":
             machine.io.set_output(int(name), bool(value))
         elif key == "limits":

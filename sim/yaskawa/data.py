@@ -80,7 +80,10 @@ class Data:
 
     def free(self, name: str) -> None:
         """`DA`: forget a variable, or an array when brackets follow (L3971)."""
-        if name == "*":
+        if name == "**[0]":
+            self.variables.clear()
+            self.arrays.clear()
+        elif name == "*":
             self.variables.clear()
         elif name.startswith("*["):
             self.arrays.clear()

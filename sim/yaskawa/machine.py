@@ -97,10 +97,18 @@ class Machine:
         self.designators: dict[str, str] = {}
         self.locked = 0
         self.entries = {name: OperatorEntry() for name in ("S", "2")}
-        self.selected: bool | None = None
+        self.selected: bool | None = False if self.options.unaddressed else None
         """Whether `%A` has selected this unit; None while no unit has been."""
-        self.forwards = False
-        """`CC` has made port 2 part of a daisy chain."""
+        self.second_line = self.options.second_line
+        """`CC`: baud rate of port 2, handshake, daisy chain, echo; baud 0 before it is given."""
+        self.interrupting: dict[str, int] = {"S": 0, "2": 0}
+        """`CI`: what on each serial port calls #COMINT: 0 nothing, 1 carriage return, 2 any character."""
+        self.interrupting_on = False
+        if self.model.figures.default_plane and len(self.letters) > 1:
+            self.motion.systems["S"].select(("X", "Y"), linear=False)
+        self.gear_master = ""
+        """The one master of all axes (SMC-2000: L9013)."""
+        self.motion.cam.master_cycle = 0 if self.options.own_modulus else None
         self.last_encoder = 0
         """Number of the axis whose absolute encoder was read last."""
         self.responses: dict[str, list[int]] = {}

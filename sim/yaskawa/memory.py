@@ -7,7 +7,16 @@ if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
 
 _SCALARS = (
-    "layout position_format variable_format echo unsolicited_port unsolicited_mode address retry_time".split()  # noqa: SIM905
+    "layout",
+    "position_format",
+    "variable_format",
+    "echo",
+    "gear_master",
+    "second_line",
+    "unsolicited_port",
+    "unsolicited_mode",
+    "address",
+    "retry_time",
 )
 
 
@@ -52,6 +61,13 @@ class Memory:
         self._period = machine.timebase.period_us
         self._lock = machine.locked
 
+    def burn_period(self, period_us: int) -> None:
+        """`TM` and `BN` of nothing else; it takes effect at once."""
+        self._period = period_us
+        self.machine.timebase.set_period(period_us)
+        self.machine.rescheduled()
+        self.machine.go_on()
+
     def burn_lock(self) -> None:
         """`LC` burns itself (L6741)."""
         self.burn_parameters()
@@ -68,6 +84,22 @@ class Memory:
 
     def restore(self) -> None:
         """Power-up and `RS`: the burned state; `#AUTO` runs when it is burned (L15443)."""
+        machine = self.machine
+        self.restore_parameters()
+        if self._program:
+            machine.program.insert(0, list(self._program))
+        from sim.yaskawa.cam import Cam
+
+        if isinstance(self._cam, Cam):
+            machine.motion.cam = copy.deepcopy(self._cam)
+        machine.data.variables = dict(self._variables)
+        machine.data.arrays = {name: list(array) for name, array in self._arrays.items()}
+        auto = machine.program.labels.get("AUTO")
+        if auto is not None:
+            machine.interpreter.threads[0].start(auto, 0, machine.now())
+
+    def restore_parameters(self) -> None:
+        """What BN has kept."""
         machine = self.machine
         for axis in machine.motion.all_axes():
             axis.registers.update(self._registers.get(axis.name, {}))
@@ -92,14 +124,3 @@ class Memory:
         if self._period != 1000:
             machine.timebase.set_period(self._period)
         machine.locked = self._lock
-        if self._program:
-            machine.program.insert(0, list(self._program))
-        from sim.yaskawa.cam import Cam
-
-        if isinstance(self._cam, Cam):
-            machine.motion.cam = copy.deepcopy(self._cam)
-        machine.data.variables = dict(self._variables)
-        machine.data.arrays = {name: list(array) for name, array in self._arrays.items()}
-        auto = machine.program.labels.get("AUTO")
-        if auto is not None:
-            machine.interpreter.threads[0].start(auto, 0, machine.now())

@@ -29,6 +29,14 @@ class Figures:
     home_speed: int
     cam_points: int
     contour_step: int = 32767
+    lag: int = 1
+    """Samples from a command to the encoder's reading of it, with an ideal motor."""
+    slaves_by_turns: bool = False
+    """A cam's slave is reported in the master's cycle, not in its own."""
+    stepper_fastest: int = 0
+    """0: as a servo."""
+    default_plane: bool = False
+    """The coordinate system is in vector mode in X and Y before it is told (SMC-2000: L12450)."""
     virtual_axis: bool = False
     systems: str = "S"
 
@@ -68,6 +76,7 @@ class Model:
     time_bases: Callable[[int], tuple[int, int, int]]
     burning: Burning
     locks: Callable[[int, str, str, str], bool]
+    lock_levels: int
     password: str = ""
     serial_port: type[Port] = Port
     second_port: type[Port] = Port
@@ -77,8 +86,12 @@ class Model:
     comment_end: str = ""
     designators: bool = False
     running_bit: int = 7
+    still_data: bool = True
+    """QD and QU are refused in motion, and QD in programs."""
     switch_levels: bool = True
     """TS tells the levels of the limit switches; otherwise whether they are inactive."""
+    external_clock: bool = False
+    """A negative `TM` takes the samples of another unit."""
     speed_digits: int = 8
     """Digits of `TV`."""
     keywords: tuple[str, ...] = ("P1CD", "P1CH", "P1NM", "P1ST")

@@ -28,12 +28,13 @@ class MotionControl:
         self, timebase: Timebase, world: World, letters: str, figures: Figures, on_limit: Callable[[], None]
     ) -> None:
         self.timebase = timebase
+        self.figures = figures
         self.world = world
         self.on_limit = on_limit
-        self.axes: dict[str, Axis] = {name: Axis(name, index) for index, name in enumerate(letters)}
+        self.axes: dict[str, Axis] = {name: Axis(name, index, figures.lag) for index, name in enumerate(letters)}
         self.real = tuple(self.axes.values())
         if figures.virtual_axis:
-            self.axes["N"] = Axis("N", len(letters))
+            self.axes["N"] = Axis("N", len(letters), figures.lag)
             self.axes["N"].motor_off, self.axes["N"].frozen = False, None
         self.systems = {name: System(name, figures.vector) for name in figures.systems}
         self.contour: Contour | None = None
@@ -396,10 +397,12 @@ class MotionControl:
         name = self.cam.master
         if name is None:
             return 0.0
-        axis = self.axes[name]
+        axis = self.axes[name[-1]]
+        if len(name) > 1:
+            return float(axis.auxiliary)
         if axis.virtual:
             return axis.command(at)
-        return axis.frozen if axis.frozen is not None else axis.command(at - 1)
+        return axis.frozen if axis.frozen is not None else axis.command(at - axis.lag)
 
     def engage(self, slave: Axis, at: int) -> None:
         """The slave follows the table from `at` on."""
@@ -408,17 +411,21 @@ class MotionControl:
         slave.rest(at, slave.path.position(at))
         slave.path, slave.profile = CamPath(self.cam, slave.name, self.cam_master), None
         slave.mode = "cam"
-        slave.modulus = self.cam.cycles.get(slave.name, 0)
+        cycle = self.cam.cycles.get(slave.name, 0)
+        if self.figures.slaves_by_turns:
+            slave.turned = lambda: cycle * self.cam.turns(self.cam_master(self.timebase.sample()))
+        else:
+            slave.modulus = cycle
         self.cam.followers.add(slave.name)
-        master = self.axes[self.cam.master or "N"]
-        if master.moving:
+        master = self.axes.get(self.cam.master or "")
+        if master is not None and master.moving:
             self.note_start(slave, at)
 
     def disengage(self, slave: Axis, at: int) -> None:
         """The slave stands where it is."""
         position = slave.reported(fixed.rounded(slave.path.position(at)))
         slave.rest(at, position)
-        slave.modulus = 0
+        slave.modulus, slave.turned = 0, None
         self.cam.followers.discard(slave.name)
         self.note_end(slave, at)
 

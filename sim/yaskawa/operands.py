@@ -16,7 +16,7 @@ from sim.yaskawa.data import ARRAYS
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator
 from sim.yaskawa.parameters import SMC4000
-from sim.yaskawa.registry import operand
+from sim.yaskawa.registry import OPERANDS, operand
 from sim.yaskawa.sequence import System
 from sim.yaskawa.smc2000_parameters import SMC2000
 
@@ -33,20 +33,28 @@ def _axis_name(suffix: str) -> str:
     return name
 
 
-def _of_axis(op: str, read: Callable[[Context, Axis], int], *, raw: bool = False) -> None:
+def of_axis(
+    op: str,
+    read: Callable[[Context, Axis], int],
+    *,
+    raw: bool = False,
+    table: dict[str, Callable[[str], Evaluator]] = OPERANDS,
+) -> None:
+    """Enter an operand of one axis; `raw` when `read` gives units of 1/65536."""
+
     def compile_axis(suffix: str) -> Evaluator:
         name = _axis_name(suffix)
         factor = 1 if raw else fixed.ONE
         return lambda c: read(c, c.machine.axis(name)) * factor
 
-    operand(op)(compile_axis)
+    operand(op, table=table)(compile_axis)
 
 
 def _register(op: str) -> None:
     def read(c: Context, axis: Axis) -> int:
         return axis.registers[op]
 
-    _of_axis(op, read, raw=True)
+    of_axis(op, read, raw=True)
 
 
 for _op in SMC4000.keys() | SMC2000.keys():
@@ -64,34 +72,34 @@ def _begun(c: Context, axis: Axis) -> int:
     return int(axis.moving)
 
 
-_of_axis("PA", _absolute_position)
-_of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True)
-_of_axis("BG", _begun)
-_of_axis("MO", lambda c, axis: int(axis.motor_off))
-_of_axis("SC", lambda c, axis: axis.stop_code)
-_of_axis("TS", status.switches)
-_of_axis("AL", lambda c, axis: int(axis.latch_armed))
-_of_axis("TP", status.encoder)
-_of_axis("DP", status.encoder)
-_of_axis("IP", status.reference)
-_of_axis("RP", status.reference)
-_of_axis("SH", status.reference)
-_of_axis("TE", status.error)
-_of_axis("TD", status.auxiliary)
-_of_axis("DE", lambda c, axis: axis.auxiliary)
-_of_axis("QP", status.unmodularised)
-_of_axis("QA", status.auxiliary)
-_of_axis("RL", status.latched)
-_of_axis("RU", status.latched)
-_of_axis("TV", status.velocity)
-_of_axis("TT", status.volts, raw=True)
-_of_axis("TY", lambda c, axis: -2147483648)
-_of_axis("GM", lambda c, axis: int(axis.gear.gantry))
-_of_axis("EG", lambda c, axis: int(axis.mode == "cam"))
-_of_axis("EQ", lambda c, axis: waiting(c, axis.name))
-_of_axis("LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.now())))
-_of_axis("LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.now())))
-_of_axis("HM", lambda c, axis: int(status.home_inactive(c, axis)))
+of_axis("PA", _absolute_position)
+of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True)
+of_axis("BG", _begun)
+of_axis("MO", lambda c, axis: int(axis.motor_off))
+of_axis("SC", lambda c, axis: axis.stop_code)
+of_axis("TS", status.switches)
+of_axis("AL", lambda c, axis: int(axis.latch_armed))
+of_axis("TP", status.encoder)
+of_axis("DP", status.encoder)
+of_axis("IP", status.reference)
+of_axis("RP", status.reference)
+of_axis("SH", status.reference)
+of_axis("TE", status.error)
+of_axis("TD", status.auxiliary)
+of_axis("DE", lambda c, axis: axis.auxiliary)
+of_axis("QP", status.unmodularised)
+of_axis("QA", status.auxiliary)
+of_axis("RL", status.latched)
+of_axis("RU", status.latched)
+of_axis("TV", status.velocity)
+of_axis("TT", status.volts, raw=True)
+of_axis("TY", lambda c, axis: -2147483648)
+of_axis("GM", lambda c, axis: int(axis.gear.gantry))
+of_axis("EG", lambda c, axis: int(axis.mode == "cam"))
+of_axis("EQ", lambda c, axis: waiting(c, axis.name))
+of_axis("LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.now())))
+of_axis("LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.now())))
+of_axis("HM", lambda c, axis: int(status.home_inactive(c, axis)))
 
 
 def _of_system(op: str, read: Callable[[Context, System], float]) -> None:
@@ -147,50 +155,57 @@ def _vector_position(suffix: str) -> Evaluator:
     return read
 
 
-def _of_machine(op: str, read: Callable[[Context], int], suffixes: tuple[str, ...] = ("",)) -> None:
+def of_machine(
+    op: str,
+    read: Callable[[Context], int],
+    suffixes: tuple[str, ...] = ("",),
+    table: dict[str, Callable[[str], Evaluator]] = OPERANDS,
+) -> None:
+    """Enter an operand of the whole controller."""
+
     def compile_plain(suffix: str) -> Evaluator:
         if suffix not in suffixes:
             raise CommandError(58)
         return lambda c: fixed.whole(read(c))
 
-    operand(op)(compile_plain)
+    operand(op, table=table)(compile_plain)
 
 
-_of_machine("AB", lambda c: int(not c.machine.motion.abort_input))
-_of_machine("AE", lambda c: 0, ("", "X", "Y", "Z", "W"))
-_of_machine("BK", breakpoint_value)
-_of_machine("BN", lambda c: c.machine.options.serial_number)
-_of_machine("BV", lambda c: 0)
-_of_machine("CA", lambda c: int(c.machine.system_letter == "T"))
-_of_machine("CF", lambda c: ord(c.machine.unsolicited_port))
-_of_machine("CM", full)
-_of_machine("CW", lambda c: c.machine.unsolicited_mode)
-_of_machine("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
-_of_machine("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
-_of_machine("DM", lambda c: c.machine.data.free_elements())
-_of_machine("DT", lambda c: c.machine.motion.contour_interval)
-_of_machine("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
-_of_machine("EB", lambda c: int(c.machine.motion.cam.enabled))
-_of_machine("EC", lambda c: c.machine.motion.cam.index)
-_of_machine("EP", lambda c: c.machine.motion.cam.interval)
-_of_machine("EO", lambda c: int(c.machine.echo))
-_of_machine("ES", lambda c: system_of(c).ellipse_terms[0])
-_of_machine("HW", lambda c: _own_handle(c))
-_of_machine("WH", lambda c: _own_handle(c))
-_of_machine("II", lambda c: c.machine.interpreter.interrupts)
-_of_machine("LC", lambda c: c.machine.locked)
-_of_machine("LS", lambda c: _line_count(c))
-_of_machine("LZ", lambda c: int(c.machine.layout.strip_zeros))
-_of_machine("MW", lambda c: int(c.machine.modbus_wait))
-_of_machine("OP", lambda c: c.machine.io.outputs, ("", "0", "X"))
-_of_machine("RC", lambda c: int(c.machine.recorder.running))
-_of_machine("RD", lambda c: c.machine.recorder.index)
-_of_machine("TB", status.general)
-_of_machine("TC", lambda c: c.machine.error_code, ("", "0", "1"))
-_of_machine("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
-_of_machine("TM", lambda c: c.machine.timebase.period_us)
-_of_machine("TR", lambda c: int(c.machine.interpreter.trace))
-_of_machine("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
+of_machine("AB", lambda c: int(not c.machine.motion.abort_input))
+of_machine("AE", lambda c: 0, ("", "X", "Y", "Z", "W"))
+of_machine("BK", breakpoint_value)
+of_machine("BN", lambda c: c.machine.options.serial_number)
+of_machine("BV", lambda c: 0)
+of_machine("CA", lambda c: int(c.machine.system_letter == "T"))
+of_machine("CF", lambda c: ord(c.machine.unsolicited_port))
+of_machine("CM", full)
+of_machine("CW", lambda c: c.machine.unsolicited_mode)
+of_machine("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
+of_machine("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
+of_machine("DM", lambda c: c.machine.data.free_elements())
+of_machine("DT", lambda c: c.machine.motion.contour_interval)
+of_machine("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
+of_machine("EB", lambda c: int(c.machine.motion.cam.enabled))
+of_machine("EC", lambda c: c.machine.motion.cam.index)
+of_machine("EP", lambda c: c.machine.motion.cam.interval)
+of_machine("EO", lambda c: int(c.machine.echo))
+of_machine("ES", lambda c: system_of(c).ellipse_terms[0])
+of_machine("HW", lambda c: _own_handle(c))
+of_machine("WH", lambda c: _own_handle(c))
+of_machine("II", lambda c: c.machine.interpreter.interrupts)
+of_machine("LC", lambda c: c.machine.locked)
+of_machine("LS", lambda c: _line_count(c))
+of_machine("LZ", lambda c: int(c.machine.layout.strip_zeros))
+of_machine("MW", lambda c: int(c.machine.modbus_wait))
+of_machine("OP", lambda c: c.machine.io.outputs, ("", "0", "X"))
+of_machine("RC", lambda c: int(c.machine.recorder.running))
+of_machine("RD", lambda c: c.machine.recorder.index)
+of_machine("TB", status.general)
+of_machine("TC", lambda c: c.machine.error_code, ("", "0", "1"))
+of_machine("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
+of_machine("TM", lambda c: c.machine.timebase.period_us)
+of_machine("TR", lambda c: int(c.machine.interpreter.trace))
+of_machine("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
 
 
 def _line_count(c: Context) -> int:
@@ -246,6 +261,8 @@ def _of_thread(op: str, read: Callable[[Context, int], int]) -> None:
 
         def run(c: Context) -> int:
             own = c.thread.number if c.thread is not None else 0
+            if int(suffix or "0") >= len(c.machine.interpreter.threads):
+                raise CommandError(58)
             return fixed.whole(read(c, int(suffix) if suffix else own))
 
         return run

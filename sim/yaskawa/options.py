@@ -3,10 +3,13 @@
 `D…` are the decisions of section 16 in `docs/controllers/smc4000.md` (`smc2000.md` for the SMC-2000).
 """
 
+from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+MAIN_BAUD = 19200
+"""Of port 1 of the SMC-2000 as shipped (L910)."""
 _BYTE = 8
 _ABSENT_OUTPUTS = frozenset((24, 32, 40, 48, 56, 64))
 
@@ -69,6 +72,31 @@ class Options(BaseModel):
     def channels(self) -> int:
         """Arrays that RA can record into at once."""
         return 8
+
+    @property
+    def encoders(self) -> Mapping[str, int]:
+        """What absolute encoders read, per axis, counts; empty without the option."""
+        return {}
+
+    @property
+    def unaddressed(self) -> bool:
+        """Whether it takes no commands before it is addressed."""
+        return False
+
+    @property
+    def second_line(self) -> tuple[int, int, int, int]:
+        """`CC` after a master reset: baud rate, handshake, daisy chain, echo."""
+        return 0, 0, 0, 0
+
+    @property
+    def can_step(self) -> bool:
+        """Whether axes can drive stepper motors."""
+        return True
+
+    @property
+    def own_modulus(self) -> bool:
+        """Whether the cycle of a cam's master is set apart from those of the slaves, by MM."""
+        return False
 
     @property
     def servo_on(self) -> bool:
@@ -154,6 +182,26 @@ class Smc2000Options(Options):
     @property
     def channels(self) -> int:
         return 8 if self.axes == 8 else 4
+
+    @property
+    def encoders(self) -> Mapping[str, int]:
+        return self.absolute_encoders
+
+    @property
+    def unaddressed(self) -> bool:
+        return self.chained
+
+    @property
+    def second_line(self) -> tuple[int, int, int, int]:
+        return (MAIN_BAUD, 0, 1, 0) if self.chained else super().second_line
+
+    @property
+    def can_step(self) -> bool:
+        return self.stepper_jumpers
+
+    @property
+    def own_modulus(self) -> bool:
+        return self.firmware == "D150N19p"
 
     @property
     def servo_on(self) -> bool:

@@ -18,6 +18,8 @@ LONGEST_LINE = 80
 LONGEST_PACKET = 470
 ENDS = "\x1a\x11\x04\\"
 """What ends a download: ctrl-Z, ctrl-Q, ctrl-D, backslash (L4134)."""
+END_OF_TEXT = "\x1a"
+"""Behind an uploaded program or array."""
 SILENCE_NS = 600_000_000_000
 
 Download = Callable[[str], None]

@@ -10,6 +10,7 @@ from sim.yaskawa.controller import Bench, Controller
 from sim.yaskawa.data import Room
 from sim.yaskawa.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.expressions import FUNCTIONS
+from sim.yaskawa.formats import Format
 from sim.yaskawa.machine import Machine
 from sim.yaskawa.model import Burning, Figures, Model
 from sim.yaskawa.options import Smc4000Options
@@ -45,6 +46,8 @@ MODEL = Model(
     time_bases=lambda axes: (250, 20000, 125),
     burning=Burning({"BN": 1, "BP": 3, "BV": 1}),
     locks=_locks,
+    lock_levels=3,
+    formats={"LC": Format(1, 0)},
     handles="ABCDEFGH",
     comments=("'", "NO "),
     designators=True,

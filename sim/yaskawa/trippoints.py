@@ -44,7 +44,7 @@ def every_sample(passed: Check) -> Trip:
 
 def place_reached(axis: Axis, place: float, upward: bool, *, commanded: bool) -> Trip:
     """AP, AD, AR, MF, MR: the position passes `place`; or the profile is done, or moves away (L2379)."""
-    delay = 0 if commanded else 1
+    delay = 0 if commanded else axis.lag
 
     def passed(machine: "Machine", now: int) -> bool:
         here = axis.reference(now) if commanded else axis.actual(now)

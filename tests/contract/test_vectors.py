@@ -7,7 +7,7 @@ import pytest
 from sim.core.vectors import check_file, same_reply
 
 VECTORS = Path(__file__).parent / "vectors"
-AT_LEAST = {"smc4000": 136, "shrc203": 400, "smc30": 94, "ppsmc": 82}
+AT_LEAST = {"smc2000": 164, "smc4000": 136, "shrc203": 400, "smc30": 94, "ppsmc": 82}
 
 
 @pytest.mark.parametrize("model", AT_LEAST)

@@ -1,0 +1,87 @@
+"""Programs, arrays, lists, formats and reset of the SMC-2000: LA LL QU PF TB RS (L9826, L10003, L10807, L10969)."""
+
+from sim.yaskawa import fixed
+from sim.yaskawa.arguments import parse_fields, split, values
+from sim.yaskawa.commands_data import array_name, listing, span
+from sim.yaskawa.commands_status import general, report
+from sim.yaskawa.context import Context
+from sim.yaskawa.errors import CommandError
+from sim.yaskawa.expressions import compile_expression, integer
+from sim.yaskawa.formats import Format
+from sim.yaskawa.ports import END_OF_TEXT
+from sim.yaskawa.registry import SMC2000_COMMANDS, Outcome, Runner, bare, command
+from sim.yaskawa.statements import Raw
+
+RESET, PARAMETERS, CLEAR = 0, 1, 2
+
+
+def _arrays(c: Context) -> list[str]:
+    arrays = c.machine.data.arrays
+    return [f"{name}[{len(arrays[name])}]" for name in sorted(arrays)]
+
+
+listing("LA", _arrays, SMC2000_COMMANDS)
+listing("LL", lambda c: [f"#{label}" for label in sorted(c.machine.program.labels)], SMC2000_COMMANDS)
+
+
+@command("QU", table=SMC2000_COMMANDS)
+def _upload_array(text: str) -> Runner:
+    """Elements in the variable format, separated and not ended by comma or carriage return, then ctrl-Z (D37)."""
+    name_text, *rest = split(text)
+    name = array_name(name_text)
+    fields = values(parse_fields(",".join(rest), 3))
+
+    def run(c: Context) -> Outcome:
+        array = c.machine.data.array(name)
+        given = [*fields(c), None, None]
+        first, last = span(c, len(array), given)
+        separator = "," if given[2] is not None and fixed.truncated(given[2]) == 1 else "\r"
+        written = separator.join(c.machine.show_value(raw) for raw in array[first : last + 1]) + END_OF_TEXT
+        if c.port is None:
+            c.machine.ports.message(written)
+            return None
+        return Raw(written)
+
+    return run
+
+
+@command("PF", table=SMC2000_COMMANDS)
+def _position_format(text: str) -> Runner:
+    """One format for all axes; the manual's own session gives one for each (L1502): the first counts."""
+    if text == "?":
+        return lambda c: c.machine.show("PF", c.machine.position_format.value)
+    value = compile_expression(split(text)[0])
+
+    def run(c: Context) -> Outcome:
+        c.machine.position_format = Format.of(value(c))
+        return None
+
+    return run
+
+
+@command("TB", table=SMC2000_COMMANDS)
+def _tell_status(text: str) -> Runner:
+    """Printed as short as it is (L11675)."""
+    bare(text.removeprefix("?"))
+    return lambda c: report(c, c.machine.show_whole(general(c), len(str(general(c)))))
+
+
+@command("RS", where="line", table=SMC2000_COMMANDS)
+def _reset(text: str) -> Runner:
+    """`RS` resets, `RS1` restores what BN has kept, `RS2` clears the program (L11364)."""
+    value = integer(text) if text else None
+
+    def run(c: Context) -> Outcome:
+        what = value(c) if value is not None else RESET
+        if what not in (RESET, PARAMETERS, CLEAR):
+            raise CommandError(6)
+        if what == RESET:
+            c.machine.reset()
+        elif what == PARAMETERS:
+            c.machine.memory.restore_parameters()
+        else:
+            c.machine.interpreter.halt_all()
+            c.machine.program.clear()
+        return None
+
+    return run
