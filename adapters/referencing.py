@@ -5,8 +5,11 @@ from collections.abc import Awaitable, Callable, Sequence
 
 from adapters.condition import Condition
 from adapters.contract import CannotDo, Driver, Reading
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.messages import HomeReply
 from orchestrator.model.state import EventKind
+
+LOOK_NS = 50 * NS_PER_MS
 
 
 class Referencing:
@@ -15,11 +18,13 @@ class Referencing:
     def __init__(
         self,
         driver: Driver,
+        clock: Clock,
         condition: Condition,
         emit: Callable[[EventKind, str], None],
         refresh: Callable[[], Awaitable[None]],
     ) -> None:
         self._driver = driver
+        self._clock = clock
         self._condition = condition
         self._emit = emit
         self._refresh = refresh
@@ -30,6 +35,7 @@ class Referencing:
         condition.require_enabled(axes)
         condition.referenced.update(dict.fromkeys(axes, False))
         condition.homing.update(axes)
+        restarts = condition.restarts
         try:
             # An axis that does not know where it is must not be held by limits that mean nothing to it.
             await self.load_limits(axes)
@@ -38,7 +44,7 @@ class Referencing:
         finally:
             condition.homing.difference_update(axes)
         await self._refresh()
-        if condition.reading is None or condition.reading.restarted:
+        if condition.reading is None or condition.restarts != restarts:
             raise CannotDo("restarted", "the controller was lost while homing", "home again")
         for name in list(axes):
             if condition.reading.axes[name].lost and name not in failed:
@@ -61,14 +67,26 @@ class Referencing:
                 return dict(await self._driver.home(axes))
         except TimeoutError:
             await self._driver.stop(False)
+            await self._come_to_rest(axes)
             text = f"no reference found within {longest_s:g} s"
             remedy = "look at the home switch, or allow more time (homing.timeout_s)"
             return {name: CannotDo("homing-timeout", f"axis {name}: {text}", remedy) for name in axes}
+
+    async def _come_to_rest(self, axes: Sequence[str]) -> None:
+        """Nobody may begin with anything else while these still slow down."""
+        until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns + NS_PER_S
+        while self._clock.now_ns() < until_ns:
+            await self._refresh()
+            reading = self._condition.reading
+            if reading is None or not any(reading.axes[name].moving for name in axes):
+                return
+            await sleep_ns(self._clock, LOOK_NS)
 
     def look(self, reading: Reading) -> list[str]:
         """A poll: axes that have lost their position just now are not referenced any more."""
         condition = self._condition
         if reading.restarted:
+            condition.restarts += 1
             lost = [name for name, known in condition.referenced.items() if known]
             condition.forget_references()
             return lost

@@ -63,7 +63,7 @@ class Unit:
         )
         self._jogging = Jogging(driver, seat.clock, condition, self._spawn, self.poke)
         self._motors = Motors(driver, seat.clock, condition, self.refresh)
-        self._referencing = Referencing(driver, condition, self._presenter.emit, self.refresh)
+        self._referencing = Referencing(driver, seat.clock, condition, self._presenter.emit, self.refresh)
         parts = Parts(
             fence=self._fence,
             remembered=remembered,

@@ -188,8 +188,8 @@ class Homing:
 
     def _failure(self, run: _Run) -> Refuse:
         first, why = next(iter(run.failed.items()))
-        controllers = {axis.partition(".")[0]: refusal for axis, refusal in run.failed.items()}
-        texts = [f"{controller}: {refusal.text}" for controller, refusal in controllers.items()]
+        # What a whole controller has refused is said once.
+        texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {each.text}" for axis, each in run.failed.items()))
         blocked = run.blocked()
         if blocked:
             causes = ", ".join(sorted(set(blocked.values())))

@@ -3,24 +3,13 @@
 import asyncio
 
 import pytest
-from cluster.worlds import PREPARE, demo_fleet, demo_job, job, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, demo_job, job, outcome, run_fleet
 
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
-from orchestrator.model.job import Job
-from orchestrator.model.report import JobReport, Lease
-
-
-async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
-    """Run jobs one after the other; the report of the last one."""
-    client = fleet.client()
-    report = None
-    for each in jobs:
-        report = await client.wait(await client.submit(each))
-    assert report is not None
-    return report
+from orchestrator.model.report import Lease
 
 
 def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:

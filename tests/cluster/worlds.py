@@ -9,6 +9,8 @@ from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet, load_job, parse
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
+from orchestrator.model.messages import Refusal
+from orchestrator.model.report import JobReport
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 T = TypeVar("T")
@@ -44,3 +46,36 @@ def run_fleet(main: Callable[[VirtualFleet], Coroutine[Any, Any, T]], fleet: Fle
         return await main(virtual)
 
     return run_virtual(run)
+
+
+def changed(fleet: Fleet, **controllers: dict[str, Any]) -> Fleet:
+    """`fleet` with fields of its controllers replaced; `axes` and `simulate` are merged one level deeper."""
+    plain = fleet.to_plain()
+    for name, fields in controllers.items():
+        target = plain["controllers"][name]
+        for field, value in fields.items():
+            if field == "axes":
+                for axis, more in value.items():
+                    target["axes"][axis] |= more
+            elif field == "simulate":
+                target["simulate"]["options"] |= value
+            else:
+                target[field] = value
+    return Fleet.model_validate(plain)
+
+
+async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
+    """Run jobs one after the other; the report of the last one."""
+    client = fleet.client()
+    report = None
+    for each in jobs:
+        report = await client.wait(await client.submit(each))
+    assert report is not None
+    return report
+
+
+async def refusal(fleet: VirtualFleet, *jobs: Job) -> Refusal:
+    """The refusal that the last step of the last of `jobs` ended with."""
+    refused = (await outcome(fleet, *jobs)).steps[-1].refused
+    assert refused is not None
+    return refused

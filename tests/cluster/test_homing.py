@@ -1,0 +1,180 @@
+"""Axes find their references in order; what fails stops what depends on it, and nothing else."""
+
+import asyncio
+
+import pytest
+from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
+
+from orchestrator.client.api import Refused
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import Progress
+
+ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
+HOME = job("[{do: home}]")
+NEVER = {"X": -1_000_000_000, "Y": -1500}  # a home switch that is nowhere
+
+
+def first_motion_ns(fleet: VirtualFleet, controller: str, motor: str) -> int:
+    return next(motion.start_ns for motion in fleet.controllers[controller].motions if motion.axis == motor)
+
+
+def last_end_ns(fleet: VirtualFleet, controller: str, motor: str) -> int:
+    ends = [motion.end_ns for motion in fleet.controllers[controller].motions if motion.axis == motor]
+    assert ends[-1] is not None
+    return ends[-1]
+
+
+def test_the_fleet_is_homed_in_its_order_and_says_how_far_it_is() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client, said = fleet.client(), list[str]()
+
+        def hear(progress: Progress) -> None:
+            if progress.step_name.startswith("homing") and progress.step_name not in said:
+                said.append(progress.step_name)
+
+        await outcome(fleet, ENABLE)
+        report = await client.wait(await client.submit(HOME), hear)
+        assert report.state == "done", report.reason
+        assert said == [
+            "homing stage.focus",
+            "homing gantry.x, gantry.y",
+            "homing stage.u",
+            "homing stage.v",
+        ]
+        # By the simulators' truth: z came to rest before x and y began, and those before u.
+        assert last_end_ns(fleet, "stage", "3") < first_motion_ns(fleet, "gantry", "X")
+        assert last_end_ns(fleet, "gantry", "X") < first_motion_ns(fleet, "stage", "1")
+        assert last_end_ns(fleet, "gantry", "Y") < first_motion_ns(fleet, "stage", "1")
+        assert abs(first_motion_ns(fleet, "gantry", "X") - first_motion_ns(fleet, "gantry", "Y")) < 10_000_000
+
+    run_fleet(main)
+
+
+def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
+    fleet = changed(
+        demo_fleet(),
+        gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": {"homing": {"speed": 20, "timeout_s": 5}}}},
+        stage={"axes": {"u": {"homing": {"after": ["gantry.x"]}}}},
+    ).model_copy(update={"home_order": ["stage.focus", "gantry"]})
+
+    async def main(virtual: VirtualFleet) -> None:
+        refused = await refusal(virtual, ENABLE, HOME)
+        assert refused.code == "homing-timeout"
+        assert "axis x: no reference found within" in refused.text
+        assert "not homed because they come after gantry.x" in refused.text
+        assert "stage.u" in refused.text
+        assert refused.remedy
+        await virtual.until(lambda states: not any(a.moving for s in states.values() for a in s.axes.values()))
+        states = await virtual.client().status()
+        assert states["stage"].axes["focus"].referenced
+        assert not states["gantry"].axes["x"].referenced
+        assert [m.axis for m in virtual.controllers["stage"].motions] == ["3"] * len(virtual.controllers["stage"].motions)
+
+    run_fleet(main, fleet)
+
+
+def test_axes_without_an_order_are_homed_one_by_one_whatever_becomes_of_the_others() -> None:
+    fleet = changed(
+        demo_fleet(),
+        gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": {"homing": {"speed": 20, "timeout_s": 2}}}},
+    ).model_copy(update={"home_order": []})
+
+    async def main(virtual: VirtualFleet) -> None:
+        refused = await refusal(virtual, ENABLE, HOME)
+        assert "axis x" in refused.text
+        states = await virtual.client().status()
+        known = {f"{c}.{a}" for c, s in states.items() for a, now in s.axes.items() if now.referenced}
+        assert known == {"gantry.y", "stage.u", "stage.v", "stage.focus"}
+        assert last_end_ns(virtual, "gantry", "X") < first_motion_ns(virtual, "gantry", "Y")
+
+    run_fleet(main, fleet)
+
+
+def test_an_axis_after_another_is_homed_only_when_that_one_is_referenced() -> None:
+    fleet = changed(demo_fleet(), gantry={"axes": {"x": {"homing": {"after": ["stage.focus"]}}}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        only_x = job("[{do: home, axes: [gantry.x]}]")
+        refused = await refusal(virtual, ENABLE, only_x)
+        assert refused.code == "not-referenced"
+        assert "gantry.x is homed after stage.focus" in refused.text
+        assert "home stage.focus first" in refused.remedy
+        assert not virtual.controllers["gantry"].motions
+        assert (await outcome(virtual, job("[{do: home, axes: [stage.focus]}]"), only_x)).state == "done"
+        contrary = job("[{do: home, axes: [gantry.x, stage.focus]}]")
+        with pytest.raises(Refused, match="stands behind it in the order asked for"):
+            await virtual.client().submit(contrary)
+
+    run_fleet(main, fleet)
+
+
+def test_a_circle_of_axes_that_wait_for_each_other_is_refused_in_the_file() -> None:
+    with pytest.raises(ValueError, match=r"axis gantry\.x is homed after itself"):
+        changed(
+            demo_fleet(),
+            gantry={
+                "axes": {
+                    "x": {"homing": {"after": ["stage.u"]}},
+                    "y": {"homing": {"after": ["gantry.x"]}},
+                }
+            },
+            stage={"axes": {"u": {"homing": {"after": ["gantry.y"]}}}},
+        )
+
+
+def test_a_home_switch_that_is_active_at_the_start_is_left_and_found() -> None:
+    # The axis stands beyond the edge at power-up: the switch is active, and the search begins the other way.
+    fleet = changed(demo_fleet(), gantry={"simulate": {"home_edge": {"X": 1500, "Y": 1500}}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        assert (await outcome(virtual, ENABLE, HOME)).state == "done"
+        states = await virtual.client().status()
+        assert all(axis.referenced for axis in states["gantry"].axes.values())
+        assert (await outcome(virtual, job("[{do: move, to: {gantry.x: 10}}]"))).state == "done"
+
+    run_fleet(main, fleet)
+
+
+def test_a_stop_while_homing_ends_it_and_leaves_the_axis_unreferenced() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, ENABLE)
+        client = fleet.client()
+        homing = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
+        await fleet.until(lambda states: states["gantry"].axes["x"].homing)
+        await asyncio.sleep(0.1)
+        await client.stop()
+        report = await client.wait(homing)
+        assert report.state == "aborted"
+        await asyncio.sleep(0.5)
+        state = (await client.status())["gantry"]
+        assert state.mode == "idle"
+        assert not state.axes["x"].referenced
+        assert not fleet.controllers["gantry"].moving("X")
+        assert (await outcome(fleet, PREPARE)).state == "done"
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("name", ["gantry", "stage"])
+def test_a_controller_that_loses_power_while_homing(name: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, ENABLE)
+        client = fleet.client()
+        homing = await client.submit(job(f"[{{do: home, axes: [{name}]}}]"))
+        await fleet.until(lambda states: any(axis.homing for axis in states[name].axes.values()))
+        fleet.within(name, lambda unit: unit.set_power(False))
+        await asyncio.sleep(0.2)
+        fleet.within(name, lambda unit: unit.set_power(True))
+        report = await client.wait(homing)
+        assert report.state == "failed"
+        states = await fleet.until(lambda states: states[name].mode == "idle")
+        assert not any(axis.referenced for axis in states[name].axes.values())
+        assert (await outcome(fleet, PREPARE)).state == "done"
+
+    run_fleet(main)
+
+
+def test_an_order_that_names_what_is_not_there() -> None:
+    with pytest.raises(ValueError, match=r"the fleet has no axis stage\.z"):
+        Fleet.model_validate({**demo_fleet().to_plain(), "home_order": ["stage.z"]})
