@@ -1,0 +1,170 @@
+"""A process on a terminal of its own, for tests and measurements: keys go in, what it shows can be read.
+
+The terminal answers what a real one does: with `releases` it speaks the kitty keyboard protocol, so that a held key
+is reported when it is let go; without, it is a plain one, whose held keys only repeat.
+"""
+
+import fcntl
+import os
+import re
+import select
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Mapping, Sequence
+
+from orchestrator.clock.live import raw_ns
+
+END_S = 10.0
+# The child takes the terminal as its own, so that it is told when the terminal is gone.
+_OWN = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+_ESCAPE = re.compile(r"\x1b\[[0-9;:<=>?]*[ -/]*[@-~]")
+_FRAME = "\x1b[H"
+_QUESTION = re.compile(r"\x1b\[(?P<ask>\?u)|\x1b\[(?P<device>c)|\x1b\[>(?P<push>\d+)u|\x1b\[(?P<pop><u)")
+_LONGEST_QUESTION = 8
+KEPT = 65536  # characters of what it has shown; a picture has two thousand
+LOOK_S = 0.02  # a read that waits would keep the terminal from being unplugged
+ARROWS = {"up": "A", "down": "B", "right": "C", "left": "D"}
+
+
+class TerminalProcess:
+    """`python -c code` with `arguments` on a new terminal of `columns` and `rows`."""
+
+    def __init__(
+        self,
+        code: str,
+        arguments: Sequence[str],
+        releases: bool,
+        environment: Mapping[str, str] | None = None,
+        columns: int = 80,
+        rows: int = 24,
+    ) -> None:
+        self.releases = releases
+        self._keyboards: list[int] = [0]
+        self._said = ""
+        self._heard = 0
+        self._seen = threading.Lock()
+        self._master, slave = os.openpty()
+        try:
+            fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+            self.before = termios.tcgetattr(slave)
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", _OWN + code, *arguments],
+                stdin=slave,
+                stdout=slave,
+                stderr=slave,
+                start_new_session=True,
+                env={**os.environ, "TERM": "xterm-256color", **(environment or {})},
+            )
+        finally:
+            os.close(slave)
+        self._unplugged = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    # Keys
+
+    def write(self, text: str) -> int:
+        """Type bytes; host time (ns) just before."""
+        at_ns = raw_ns()
+        os.write(self._master, text.encode())
+        return at_ns
+
+    def press(self, arrow: str) -> int:
+        """An arrow key goes down; a plain terminal says the same for each repeat. Host time (ns) just before."""
+        return self.write(f"\x1b[{ARROWS[arrow]}")
+
+    def repeat(self, arrow: str) -> int:
+        """A held arrow key repeats."""
+        return self.write(f"\x1b[1;1:2{ARROWS[arrow]}" if self.releases else f"\x1b[{ARROWS[arrow]}")
+
+    def release(self, arrow: str) -> int:
+        """An arrow key is let go; only with `releases`."""
+        return self.write(f"\x1b[1;1:3{ARROWS[arrow]}")
+
+    # What it shows
+
+    @property
+    def said(self) -> str:
+        """What it has written last, with all that is for the terminal."""
+        with self._seen:
+            return self._said
+
+    @property
+    def screen(self) -> str:
+        """The last whole picture as text."""
+        frames = self.said.split(_FRAME)
+        return _ESCAPE.sub("", frames[-2] if len(frames) > 2 else "")
+
+    @property
+    def keyboard(self) -> int:
+        """Flags of the keyboard protocol that are switched on now."""
+        return self._keyboards[-1]
+
+    def mode(self) -> "list[int | list[bytes | int]]":
+        """How the terminal is set now; `before`: as it was when the process was started."""
+        return termios.tcgetattr(self._master)
+
+    # The end
+
+    def hang_up(self) -> None:
+        """Pull the plug of the terminal."""
+        if not self._unplugged.is_set():
+            self._unplugged.set()
+            self._reader.join()
+            os.close(self._master)
+
+    def wait(self, timeout_s: float = END_S) -> int:
+        """Its exit code, when it has ended by itself. Raises `subprocess.TimeoutExpired`."""
+        return self.process.wait(timeout_s)
+
+    def kill(self) -> int:
+        """`kill -9`; host time (ns) just before."""
+        at_ns = raw_ns()
+        self.process.kill()
+        self.process.wait()
+        return at_ns
+
+    def close(self) -> None:
+        """End it, and the terminal."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        self.hang_up()
+
+    def _read(self) -> None:
+        """Take what it writes, and answer its questions."""
+        while not self._unplugged.is_set():
+            if not select.select([self._master], [], [], LOOK_S)[0]:
+                continue
+            try:
+                data = os.read(self._master, KEPT)
+            except OSError:
+                # Nobody has the other side open any more.
+                return
+            with self._seen:
+                self._said += data.decode("utf-8", "replace")
+                self._hear()
+                cut = max(0, len(self._said) - KEPT)
+                self._said, self._heard = self._said[cut:], max(0, self._heard - cut)
+
+    def _hear(self) -> None:
+        """Do what a terminal does with the questions that have not been answered yet."""
+        while question := _QUESTION.search(self._said, self._heard):
+            self._heard = question.end()
+            if question["device"]:
+                self.write("\x1b[?62;22c")
+            elif not self.releases:
+                continue
+            elif question["ask"]:
+                self.write(f"\x1b[?{self.keyboard}u")
+            elif question["push"]:
+                self._keyboards.append(int(question["push"]))
+            elif len(self._keyboards) > 1:
+                self._keyboards.pop()
+        self._heard = max(self._heard, len(self._said) - _LONGEST_QUESTION)

@@ -1,0 +1,223 @@
+"""The jog panel as a person uses it: on a terminal of its own, with a whole live fleet. The simulators' truth judges."""
+
+import getpass
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+from children import LIMIT_S, wait_until
+from fleet import EXAMPLES, RunningFleet, margin_s, run_tutti, wait_a_moment
+
+from orchestrator.clock.live import raw_ns
+from orchestrator.lab.terminal_process import TerminalProcess
+
+pytestmark = pytest.mark.live
+
+COMMAND = "from orchestrator.cli.main import main; main(prog_name='tutti')"
+
+# What is promised, in seconds, and what a busy machine may add to it.
+SILENCE_S = 0.2
+RAMP_S = 0.1
+BUSY_S = 1.5
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
+    running = RunningFleet(tmp_path_factory.mktemp("jog"))
+    try:
+        running.started()
+        done = running.run([{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}])
+        assert done.state == "done", done.reason
+        yield running
+    finally:
+        running.close()
+
+
+Start = Callable[..., TerminalProcess]
+
+
+@pytest.fixture
+def start(fleet: RunningFleet) -> Iterator[Start]:
+    """Starts panels, and ends them with the test. Ready when the axes are known and nobody has them."""
+    wait_until(lambda: not fleet.status()["gantry"].leases, "the axes are free")
+    begun: list[TerminalProcess] = []
+
+    def started(*arguments: str, releases: bool = True) -> TerminalProcess:
+        panel = TerminalProcess(COMMAND, ["axis", "jog", *arguments, "--connect", fleet.endpoint], releases)
+        begun.append(panel)
+        wait_until(lambda: "motor" in panel.screen and " on " in panel.screen, "the panel is there")
+        return panel
+
+    yield started
+    for panel in begun:
+        panel.close()
+
+
+def begins(fleet: RunningFleet, panel: TerminalProcess, arrow: str = "right") -> None:
+    """Press and hold an arrow until the axis really moves."""
+    before = fleet.starts("gantry")
+    panel.press(arrow)
+    holding(panel, arrow, lambda: fleet.starts("gantry") > before, "it moves")
+
+
+def holding(panel: TerminalProcess, arrow: str, condition: Callable[[], bool], what: str) -> None:
+    """Wait with the key held."""
+
+    def repeated() -> bool:
+        panel.repeat(arrow)
+        return condition()
+
+    wait_until(repeated, what)
+
+
+def at_rest_ns(fleet: RunningFleet) -> int:
+    """When the axis came to rest; waited for."""
+    wait_until(lambda: fleet.truth("gantry")[-1]["event"] == "end", "it comes to rest")
+    return fleet.truth("gantry")[-1]["end_ns"]
+
+
+def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    assert "Releases are reported" in panel.screen
+    begins(fleet, panel)
+    began_ns = raw_ns()
+    holding(panel, "right", lambda: raw_ns() > began_ns + 1_500_000_000, "it is held for longer than without repeats")
+    holding(panel, "right", lambda: "you" in panel.screen, "the panel shows who has it")
+    assert fleet.truth("gantry")[-1]["event"] == "start"
+    let_go_ns = panel.release("right")
+    assert margin_s(let_go_ns, at_rest_ns(fleet)) < RAMP_S + BUSY_S
+    last = fleet.truth("gantry")[-1]
+    assert last["end_counts"] > last["start_counts"]
+    begins(fleet, panel, "left")
+    panel.release("left")
+    at_rest_ns(fleet)
+    last = fleet.truth("gantry")[-1]
+    assert last["end_counts"] < last["start_counts"]
+    wait_until(lambda: not fleet.status()["gantry"].leases, "it is given back after a while")
+
+
+def test_a_plain_terminal_taps_and_holds(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x", releases=False)
+    assert "reports no releases" in panel.screen
+    before = fleet.starts("gantry")
+    tapped_ns = panel.press("right")
+    wait_until(lambda: fleet.starts("gantry") > before, "the tap moves it")
+    assert margin_s(tapped_ns, at_rest_ns(fleet)) < SILENCE_S + RAMP_S + BUSY_S
+    begins(fleet, panel)
+    let_go_ns = raw_ns()
+    assert margin_s(let_go_ns, at_rest_ns(fleet)) < SILENCE_S + RAMP_S + BUSY_S
+
+
+def test_a_killed_panel_stops_by_silence(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    begins(fleet, panel)
+    killed_ns = panel.kill()
+    assert margin_s(killed_ns, at_rest_ns(fleet)) < SILENCE_S + RAMP_S + BUSY_S
+
+
+def test_an_unplugged_terminal_stops_it_and_ends_the_panel(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    begins(fleet, panel)
+    unplugged_ns = raw_ns()
+    panel.hang_up()
+    assert margin_s(unplugged_ns, at_rest_ns(fleet)) < SILENCE_S + RAMP_S + BUSY_S
+    assert panel.wait(LIMIT_S) == 130
+    assert not fleet.status()["gantry"].leases
+
+
+def test_a_second_panel_is_refused_and_says_by_whom(fleet: RunningFleet, start: Start) -> None:
+    first, second = start("gantry.x"), start("gantry.x")
+    begins(fleet, first)
+    second.press("left")
+    holding(first, "right", lambda: "refused" in second.screen, "the second one is refused")
+    assert f"in use by {getpass.getuser()} (jog panel)" in second.screen
+    assert fleet.truth("gantry")[-1]["event"] == "start"
+    report = fleet.wait(fleet.submit([{"do": "enable", "axes": ["gantry"]}]))
+    assert report.state != "done"
+    first.release("right")
+    at_rest_ns(fleet)
+
+
+def test_what_somebody_stops_waits_for_another_press(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    begins(fleet, panel)
+    assert json.loads(fleet.tutti("stop", "--json").stdout)["gantry"] is None
+    at_rest_ns(fleet)
+    count = fleet.starts("gantry")
+
+    def moves() -> bool:
+        panel.repeat("right")
+        return fleet.starts("gantry") != count
+
+    assert not wait_a_moment(moves, 1.0)
+    wait_until(lambda: "refused" in panel.screen or "stopped" in panel.screen, "it says why")
+    panel.release("right")
+    begins(fleet, panel, "left")
+    panel.write("q")
+    assert panel.wait(LIMIT_S) == 0
+    at_rest_ns(fleet)
+
+
+@pytest.mark.parametrize(("end", "code"), [("q", 0), ("\x1b[99;5u", 130), (signal.SIGTERM, 130), (signal.SIGHUP, 130)])
+def test_the_terminal_is_as_it_was(fleet: RunningFleet, start: Start, end: str | signal.Signals, code: int) -> None:
+    panel = start()
+    assert panel.keyboard == 3
+    assert panel.mode() != panel.before
+    begins(fleet, panel)
+    if isinstance(end, str):
+        panel.write(end)
+    else:
+        panel.process.send_signal(end)
+    assert panel.wait(LIMIT_S) == code
+    assert panel.mode() == panel.before
+    assert panel.keyboard == 0
+    wait_until(lambda: panel.said.endswith("\x1b[?25h\x1b[?1049l"), "cursor and screen are back")
+    at_rest_ns(fleet)
+    assert not fleet.status()["gantry"].leases
+
+
+def test_ctrl_z_does_not_put_it_away(fleet: RunningFleet, start: Start) -> None:
+    panel = start("gantry.x")
+    begins(fleet, panel)
+    panel.write("\x1b[122;5u")
+    at_rest_ns(fleet)
+    wait_until(lambda: "background" in panel.screen, "it says so")
+    panel.process.send_signal(signal.SIGTSTP)
+    begins(fleet, panel, "left")
+    panel.release("left")
+    at_rest_ns(fleet)
+
+
+def test_without_a_terminal_it_says_what_to_do(fleet: RunningFleet) -> None:
+    done = fleet.tutti("axis", "jog")
+    assert done.returncode == 2
+    assert "tutti axis move --relative" in done.stderr
+    assert run_tutti("axis", "jog").returncode == 2
+
+
+def test_the_example_jogs_for_a_second(fleet: RunningFleet, start: Start) -> None:
+    del start  # waits until the axes are free
+    example = [sys.executable, str(EXAMPLES / "jog_by_hand.py"), "gantry.x", "5", fleet.endpoint]
+    done = subprocess.run(example, capture_output=True, text=True, timeout=LIMIT_S)
+    assert done.returncode == 0, done.stderr
+    last = fleet.truth("gantry")[-1]
+    assert last["event"] == "end"
+    assert 0.9 < margin_s(last["start_ns"], last["end_ns"]) < 1.0 + SILENCE_S + BUSY_S
+    assert last["end_counts"] - last["start_counts"] > 4000
+    example[2] = "stage.u"
+    example[3] = "500"
+    refused = subprocess.run(example, capture_output=True, text=True, timeout=LIMIT_S)
+    assert refused.returncode == 1
+    assert refused.stderr
+
+
+def test_an_unknown_axis_is_bad_input(fleet: RunningFleet) -> None:
+    panel = TerminalProcess(COMMAND, ["axis", "jog", "gantry.q", "--connect", fleet.endpoint], True)
+    try:
+        assert panel.wait(LIMIT_S) == 2
+        assert "gantry.q" in panel.said
+    finally:
+        panel.close()
