@@ -38,6 +38,7 @@ class Motion:
     """One commanded motion of one axis, in true time, as the profile generator really made it.
 
     start_ns: the time origin of the profile. end_ns: its last commanded change; None while it runs.
+    slowing_ns: when the profile generator began to slow down because of a stop (a command, a limit); None without one.
     Positions are in the make's own counts.
     """
 
@@ -46,6 +47,7 @@ class Motion:
     start_counts: float
     end_ns: int | None = None
     end_counts: float | None = None
+    slowing_ns: int | None = None
 
 
 class Connection(Protocol):
@@ -92,6 +94,14 @@ class SimulatedController(Protocol):
 
     def set_stalled(self, axis: str, stalled: bool) -> None:
         """A stalled axis does not follow its command."""
+        ...
+
+    def push(self, axis: str, counts: int) -> None:
+        """Somebody moves an axis that nothing holds by hand, by so many counts (motor steps where a make has units).
+
+        An encoder sees it; where the motor's own steps are all that is counted, nobody does. Raises `ValueError` when
+        the motor holds the axis.
+        """
         ...
 
     def output(self, number: int) -> bool: ...

@@ -10,7 +10,8 @@ LOOK_EVERY_NS = 10 * NS_PER_MS
 
 
 class TruthLog:
-    """Writes a JSON line to `file` for every motion when it has started, and again when it has ended.
+    """Writes a JSON line to `file` for every motion when it has started, when it slows down because of a stop, and when
+    it has ended.
 
     Instants are host time (`CLOCK_MONOTONIC_RAW`), ns, as the simulator made them; they are written down later.
     """
@@ -21,6 +22,7 @@ class TruthLog:
         self._file = file
         self._seen = 0
         self._running: list[Motion] = []
+        self._slowing: list[Motion] = []
         self._look()
 
     def _look(self) -> None:
@@ -29,9 +31,12 @@ class TruthLog:
             self._running.append(motions[self._seen])
             self._write("start", motions[self._seen])
             self._seen += 1
-        ended = [motion for motion in self._running if motion.end_ns is not None and motion.end_ns <= now_ns]
-        for motion in ended:
+        for motion in [each for each in self._running if _past(each.slowing_ns, now_ns)]:
             self._running.remove(motion)
+            self._slowing.append(motion)
+            self._write("slowing", motion)
+        for motion in [each for each in (*self._running, *self._slowing) if _past(each.end_ns, now_ns)]:
+            (self._slowing if motion in self._slowing else self._running).remove(motion)
             self._write("end", motion)
         self._clock.call_at_ns(now_ns + LOOK_EVERY_NS, self._look)
 
@@ -42,7 +47,13 @@ class TruthLog:
             "start_ns": motion.start_ns,
             "start_counts": motion.start_counts,
         }
-        if event == "end":
+        if event == "slowing":
+            entry |= {"slowing_ns": motion.slowing_ns}
+        elif event == "end":
             entry |= {"end_ns": motion.end_ns, "end_counts": motion.end_counts}
         self._file.write(json.dumps(entry) + "\n")
         self._file.flush()
+
+
+def _past(at_ns: int | None, now_ns: int) -> bool:
+    return at_ns is not None and at_ns <= now_ns

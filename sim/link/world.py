@@ -12,14 +12,18 @@ class WorldRefused(ValueError):
 
 
 class Change(BaseModel):
-    """One line: any of these, in this order. input: number and level. limit: axis and switches. stall: axis, on."""
+    """One line: any of these, in this order.
+
+    input: number and level. limit: axis and switches. stall: axis, on. push: axis and counts that it is moved by hand.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     power: bool | None = None
-    input: tuple[Annotated[int, Field(ge=1)], bool] | None = None
+    input: tuple[Annotated[int, Field(ge=0)], bool] | None = None
     limit: tuple[str, LimitSwitch] | None = None
     stall: tuple[str, bool] | None = None
+    push: tuple[str, int] | None = None
 
 
 def change_world(controller: SimulatedController, line: str) -> None:
@@ -30,9 +34,16 @@ def change_world(controller: SimulatedController, line: str) -> None:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"]))
         raise WorldRefused(f'{field or "line"}: {first["msg"]}; e.g. {{"input": [1, true]}}') from None
-    for axis in [pair[0] for pair in (change.limit, change.stall) if pair is not None]:
+    for axis in [pair[0] for pair in (change.limit, change.stall, change.push) if pair is not None]:
         if axis not in controller.axes:
             raise WorldRefused(f"no axis {axis!r}; there are {', '.join(controller.axes)}")
+    try:
+        _change(controller, change)
+    except ValueError as error:
+        raise WorldRefused(str(error)) from None
+
+
+def _change(controller: SimulatedController, change: Change) -> None:
     if change.power is not None:
         controller.set_power(change.power)
     if change.input is not None:
@@ -41,3 +52,5 @@ def change_world(controller: SimulatedController, line: str) -> None:
         controller.set_limit(*change.limit)
     if change.stall is not None:
         controller.set_stalled(*change.stall)
+    if change.push is not None:
+        controller.push(*change.push)

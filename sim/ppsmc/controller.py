@@ -152,6 +152,13 @@ class SmcController:
     def set_stalled(self, axis: str, stalled: bool) -> None:
         self.machine.set_stalled(self.axis(axis), stalled)
 
+    def push(self, axis: str, counts: int) -> None:
+        """Of an axis at rest, by motor steps: its encoder sees it, its step counter does not."""
+        pushed = self.axis(axis)
+        if pushed.run is not None:
+            raise ValueError(f"axis {axis}: its motor holds it")
+        pushed.origin -= counts
+
     def output(self, number: int) -> bool:
         return bool(self.machine.outputs >> _bit(number) & 1)
 

@@ -83,6 +83,7 @@ class Drive:
     def quit(self, run: Run) -> None:
         """Decelerate to the start-stop speed and stop (L2546)."""
         run.quit = True
+        run.motion.slowing_ns = self.time.clock.now_ns()
         self._slow(run)
 
     def respin(self, run: Run, sign: int, profile: Profile) -> None:

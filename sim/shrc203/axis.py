@@ -98,6 +98,19 @@ class Axis:
         """BASE RATE x 10 / DIVIDE (L807)."""
         return Fraction(self.base_rate * 10, self.divide)
 
+    def push(self, pulses: int) -> None:
+        """Somebody moves the stage by hand: its scale sees it, the counter of commanded pulses does not."""
+        self.position += pulses
+        self.offset -= pulses
+        self.slip -= pulses
+
+    def hold(self) -> None:
+        """The motor holds the stage again. A closed loop brings it back to the command, as after sleep (L2313)."""
+        if self.closed_loop:
+            self.position += self.slip
+            self.offset -= self.slip
+            self.slip = 0
+
     def check_limits(self) -> None:
         """Both limit sensors on at once are a limit error S5 (decision 28)."""
         if self.limit_on(1, self.position) and self.limit_on(-1, self.position):

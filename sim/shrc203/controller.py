@@ -227,6 +227,14 @@ class Shrc203Controller:
             if stuck.run is not None:
                 self.unit.drive.settle_again(stuck.run)
 
+    def push(self, axis: str, counts: int) -> None:
+        """Of a stage whose excitation is off."""
+        pushed = self._axis(axis)
+        if self._on and pushed.excited:
+            raise ValueError(f"axis {axis}: its motor holds it")
+        pushed.push(counts)
+        pushed.check_limits()
+
     def _rearm(self, axis: Axis) -> None:
         if axis.run is not None and axis.phase is Phase.MOVING:
             self.unit.drive.rearm(axis.run)

@@ -142,6 +142,7 @@ class Drive:
             run.cause = Cause.STOPPED
         elif not run.stopping:
             run.stopping, run.end_cause = True, Cause.STOPPED
+            self._slowing(run, self._time.now_ns())
             ramp = run.kind is not Kind.INTERPOLATION
             self._rebase(run, lambda x, v: decelerated(x, v if ramp else 0.0, run.triple))
 
@@ -296,8 +297,14 @@ class Drive:
             self._close(track, track.path.end, at_ns)
 
     def _halt_tracks(self, run: Run, at_ns: int) -> None:
+        self._slowing(run, at_ns)
         for track in run.tracks:
             self._close(track, _whole(self.displacement(track, run, at_ns)[0]), at_ns)
+
+    def _slowing(self, run: Run, at_ns: int) -> None:
+        for track in run.tracks:
+            if track.motion is not None and track.motion.slowing_ns is None:
+                track.motion.slowing_ns = self._time.true_ns(at_ns)
 
     def _close(self, track: Track, displacement: int, at_ns: int) -> None:
         axis = track.axis

@@ -99,6 +99,8 @@ def set_excitation(unit: Unit, text: str) -> None:
     excited = _switch(text[1:])
     unit.need_ready(axes)
     for axis in axes:
+        if excited and not axis.excited:
+            axis.hold()
         axis.excited = excited
 
 

@@ -242,6 +242,10 @@ class Smc30Controller:
         del stalled
         self._station(axis)
 
+    def push(self, axis: str, counts: int) -> None:
+        """Of a motor at rest: nothing says when the unit lowers or drops the current of one."""
+        self._station(axis).unit.drive.push(counts)
+
     def output(self, number: int) -> bool:
         place, own = self._numbered(number)
         if not 1 <= own <= USER_OUTPUTS:

@@ -207,10 +207,17 @@ class Drive:
         if ramp is None:
             self.halt(End.DONE)
             return
+        run.motion.slowing_ns = self._time.clock.now_ns()
         run.profile, run.origin_ns = ramp, self._time.now_ns()
         self._schedule(run)
 
     # Inputs
+
+    def push(self, steps: int) -> None:
+        """Somebody moves the axis at rest by hand: nothing counts it."""
+        if self._run is not None:
+            raise ValueError("the motor holds the axis")
+        self._place += steps
 
     def hold(self, held: bool) -> None:
         """The Stop input: freeze; on release restart what is left from the start rate (decision 20)."""

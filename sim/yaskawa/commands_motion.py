@@ -69,8 +69,8 @@ def _check_begin(c: Context, axis: Axis, now: int) -> None:
     if axis.mode == "cam":
         raise CommandError(104)
     if axis.armed in ("HM", "FE"):
-        return
-    if axis.armed in ("JG", "FI"):
+        distance = motion.homing.way(axis, now)
+    elif axis.armed in ("JG", "FI"):
         distance = axis.registers["JG"]
     elif axis.armed == "PR":
         distance = axis.registers["PR"]

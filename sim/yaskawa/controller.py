@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.core.controller import Connection, LimitSwitch, Motion, Send
+from sim.yaskawa import fixed
 from sim.yaskawa.arguments import canonical
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.machine import Machine
@@ -67,6 +68,19 @@ class Controller:
             found.freeze(machine.now())
         else:
             found.thaw()
+        machine.go_on()
+
+    def push(self, axis: str, counts: int) -> None:
+        """A servo's encoder sees it; a stepper counts its own steps, and its encoder is not modelled (L14141)."""
+        machine = self.machine
+        machine.settle()
+        found = self._axis(axis)
+        if found.frozen is None or found.stalled:
+            raise ValueError(f"axis {axis}: its motor holds it, or it is stuck")
+        if abs(found.registers["MT"]) >= 2 * fixed.ONE:
+            found.physical_zero -= counts
+        else:
+            found.frozen += counts
         machine.go_on()
 
     def output(self, number: int) -> bool:

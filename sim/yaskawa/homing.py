@@ -27,10 +27,13 @@ class Homing:
         axis.mode = {"HM": "home", "FE": "edge", "FI": "index"}[axis.armed]
         axis.stage = 1
         axis.home_stage = 0
-        level = self._level(axis, axis.reference(at))
-        axis.direction = 1 if level == (self.polarity > 0) else -1
+        axis.direction = self.way(axis, at)
         axis.ending_code = EDGE_CODE if axis.mode == "edge" else HOME_CODE
         self.control.plan(axis, at)
+
+    def way(self, axis: Axis, at: int) -> int:
+        """In which direction HM and FE go from where the axis stands."""
+        return 1 if self._level(axis, axis.reference(at)) == (self.polarity > 0) else -1
 
     def plan(self, axis: Axis, profile: Profile, at: int) -> None:
         """The profile of the present stage."""

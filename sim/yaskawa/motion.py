@@ -137,7 +137,7 @@ class MotionControl:
             return
         axis.end = profile.last_sample()
         axis.watch, axis.watch_code = self.homing.watch(axis, profile, at)
-        if axis.virtual or axis.stopping or axis.mode == "home":
+        if axis.virtual or axis.stopping:
             return
         forward = self._direction(axis, at) > 0
         for threshold in self._thresholds(axis, forward):
@@ -194,6 +194,7 @@ class MotionControl:
             self.disengage(axis, at)
         elif axis.moving and not axis.stopping:
             axis.stopping, axis.ending_code = True, code
+            self._note_slowing(axis, at)
             self.plan(axis, at)
 
     def _stop_contour(self, at: int, code: int) -> None:
@@ -208,6 +209,7 @@ class MotionControl:
             axis.mode, axis.stopping, axis.ending_code = "move", True, code
             if axis.motion is None:
                 self.note_start(axis, at)
+            self._note_slowing(axis, at)
             plan_stop(profile, at, axis.acceleration("DC"))
             profile.land(fixed.rounded(profile.end_position))
             self.schedule(axis, at)
@@ -226,6 +228,7 @@ class MotionControl:
             axis.rest(at, fixed.rounded(here))
             if was_moving:
                 axis.stop_code = code
+            self._note_slowing(axis, at)
             self.note_end(axis, at)
         for system in self.systems.values():
             if system.running and all(self.axes[name].mode != "sequence" for name in system.axes):
@@ -234,7 +237,7 @@ class MotionControl:
     def look_at_limits(self, at: int) -> None:
         """A limit switch has changed."""
         for axis in self.real:
-            if not axis.moving or axis.stopping or axis.mode == "home":
+            if not axis.moving or axis.stopping:
                 continue
             velocity = axis.command_velocity(at) or axis.command_velocity(at + 1)
             if velocity and self.limit_active(axis, velocity > 0, at):
@@ -447,6 +450,11 @@ class MotionControl:
                 start_ns = self.timebase.true_ns(at)
                 follower.motion = Motion(follower.name, start_ns, follower.command(at))
                 self.motions.append(follower.motion)
+
+    def _note_slowing(self, axis: Axis, at: int) -> None:
+        """A stop takes effect at sample `at`."""
+        if axis.motion is not None and axis.motion.slowing_ns is None:
+            axis.motion.slowing_ns = self.timebase.true_ns(at)
 
     def note_end(self, axis: Axis, at: int) -> None:
         """The last commanded change was at sample `at`."""
