@@ -21,6 +21,7 @@ from adapters.shrc203 import fleetaxes, startup
 from adapters.shrc203.axes import letter
 from adapters.shrc203.costs import costs
 from adapters.shrc203.homing import home
+from adapters.shrc203.jogging import Jogging
 from adapters.shrc203.lowering import ShrcLowered, lower
 from adapters.shrc203.moves import Mover
 from adapters.shrc203.options import Options
@@ -51,6 +52,7 @@ class ShrcDriver(Driver):
         self._unit: UnitState | None = None
         self._mover: Mover | None = None
         self._poller: Poller | None = None
+        self._jogging: Jogging | None = None
         self._outputs = asyncio.Lock()
 
     # Meeting the unit
@@ -63,6 +65,7 @@ class ShrcDriver(Driver):
         settle_ns = round(longest_s * NS_PER_S) + _RAMP_NS
         self._mover = Mover(self._options, self._clock, self._setup.firer, unit, settle_ns)
         self._poller = Poller(self._config, self._options, self._clock, unit)
+        self._jogging = Jogging(self._config, self._clock, unit, self._mover)
         identity = await startup.identify(session)
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
         await self._read_motors(unit)
@@ -73,7 +76,7 @@ class ShrcDriver(Driver):
         unit = self._connected()
         await startup.compare(unit.session, self._config, self._options, unit.controllable)
         loops = await unit.session.ask("?:FW", flags(len(unit.controllable)))
-        unit.closed_loop = "0" in loops
+        unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
 
     @property
@@ -121,6 +124,7 @@ class ShrcDriver(Driver):
         because `L:` is refused for all where one motor is off (L2988)."""
         unit = self._connected()
         mover = self._moving()
+        unit.count_stop((1, 2, 3))
         if abort:
             at_ns = unit.session.interrupt("L:E")
         else:
@@ -147,10 +151,15 @@ class ShrcDriver(Driver):
         return await home(self._config, self._clock, self._connected(), axes)
 
     async def jog(self, axis: str, move: JogMove) -> None:
-        raise CannotDo("not-by-hand", f"axis {axis} can not be moved by hand", "submit a move")
+        self._connected()
+        assert self._jogging is not None
+        await self._jogging.jog(axis, move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        await self.stop(False)
+        unit = self._connected()
+        motors = [fleetaxes.motor(self._config.axes[name]) for name in axes]
+        unit.count_stop(motors)
+        unit.brake(motors)
 
     async def set_output(self, number: int, on: bool) -> None:
         unit = self._connected()

@@ -69,6 +69,7 @@ class Mover:
             self.move = Move(lowered, t0_ns)
             return {}
         motors = {each.motor for each in lowered.moves}
+        self._unit.by_hand -= motors
         # Something in an execution buffer would run before what is loaded here.
         await self._session.tell(f"GC:{letter(motors)}")
         move = self.move = Move(lowered, t0_ns)

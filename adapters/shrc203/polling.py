@@ -7,15 +7,17 @@ from adapters.contract import AxisReading, Reading
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import Options
 from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, triples
-from adapters.shrc203.status import faults
+from adapters.shrc203.status import faults, lost
 from adapters.shrc203.unitstate import UnitState
-from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import Fault
 
+_COMPLETION_LATE_NS = 100 * NS_PER_MS  # after the rest of an axis no completion line comes any more
+
 
 class Poller:
-    """Reads the unit's state. Costs `Q:SPC` and the sentinel, `?:CW` at rest, `I:` and `?:O` where they are named."""
+    """Reads the unit's state. Costs `Q:SPC` and the sentinel, `?:CW`, and `I:` and `?:O` where they are named."""
 
     def __init__(self, config: Controller, options: Options, clock: Clock, unit: UnitState) -> None:
         self._config = config
@@ -25,6 +27,7 @@ class Poller:
         self._motors = fleetaxes.motors(config)
         self._last: dict[int, AxisStatus] = {}
         self._last_ns = 0
+        self._rest_ns: int | None = None
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
@@ -34,9 +37,12 @@ class Poller:
         line = await session.ask_line("Q:SPC", STATUS)
         now = status(line.text, unit.controllable)
         actual = now
-        if unit.closed_loop:
-            actual = status(await session.ask("Q:SPE", STATUS), unit.controllable)
-        if not session.owed and not any(each.busy for each in now.values()):
+        if any(unit.closed_loop.values()):
+            scales = status(await session.ask("Q:SPE", STATUS), unit.controllable)
+            actual = {m: scales[m] if unit.closed_loop.get(m) else each for m, each in now.items()}
+        busy = {motor for motor, each in now.items() if each.busy}
+        self._forgive(busy, line.at_ns)
+        if not session.owed and busy <= unit.by_hand:
             await self._ask_digits()
         found: list[Fault] = []
         axes: dict[str, AxisReading] = {}
@@ -44,19 +50,22 @@ class Poller:
         for name, motor in self._motors.items():
             axis, old = now[motor], self._last.get(motor)
             moved = axis.counts - old.counts if old is not None and axis.busy and elapsed_s > 0 else 0
+            excited = unit.excited.get(motor, False)
             axes[name] = AxisReading(
                 commanded_counts=axis.counts,
                 actual_counts=float(actual[motor].counts),
                 velocity_counts_s=moved / elapsed_s if moved else 0.0,
                 moving=axis.busy,
-                enabled=unit.excited.get(motor, False),
+                enabled=excited,
                 limit=fleetaxes.limit_of(axis.word, self._options.cw),
+                lost=lost(axis.word, excited, unit.closed_loop.get(motor, False)),
             )
             found += faults(name, axis.word)
         self._last, self._last_ns = now, line.at_ns
         if restarted:
+            unit.restarts += 1
             session.owe_nothing()
-        if session.owed & {motor for motor, each in now.items() if not each.busy}:
+        if session.owed - busy:
             session.changed.set()  # at rest without a completion line: whoever waits for it shall look
         return Reading(
             at_ns=line.at_ns,
@@ -66,6 +75,16 @@ class Poller:
             faults=found,
             restarted=restarted,
         )
+
+    def _forgive(self, busy: set[int], at_ns: int) -> None:
+        """Completions that nobody waits for are not waited for here either, once their axes have been at rest."""
+        session = self._unit.session
+        if not session.abandoned or session.owed & busy:
+            self._rest_ns = None
+        elif self._rest_ns is None:
+            self._rest_ns = at_ns
+        elif at_ns - self._rest_ns > _COMPLETION_LATE_NS:
+            session.owe_nothing()
 
     async def _ask_digits(self) -> None:
         unit = self._unit

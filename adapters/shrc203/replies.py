@@ -38,6 +38,7 @@ BITS = _form("0 to 63", r"[0-5]?\d|6[0-3]")
 SETTLING = _form("0 to 2550", r"\d{1,4}")
 NOT_SET = _form("NS or a setting", r"NS|.+,.+")
 READY = _form("R or B", r"[RB]")
+STOPS = _form("X or K, how the axes have stopped, R or B", r"[XK],[123CDEWRK],[RB]")
 STATUS = _form(
     "coordinates, status words and states",
     r"(?:[PNUMD]?[+-]?\d+(?:\.0*)?,){1,3}(?:[0-9A-F]+,){1,3}[RBD](?:,[RBD]){0,2}",
@@ -99,6 +100,15 @@ def status(reply: str, controllable: tuple[int, ...]) -> dict[int, AxisStatus]:
         for i, motor in enumerate(motors)
         if motor in controllable
     }
+
+
+# Axes that a limit sensor has stopped, by the second letter of Q: and SRQ: (L432-L446). They are not the axis letters.
+_LIMIT_STOPPED = {"1": {1}, "2": {2}, "3": {3}, "C": {1, 2}, "D": {1, 3}, "E": {2, 3}, "W": {1, 2, 3}}
+
+
+def limit_stopped(reply: str) -> set[int]:
+    """Motors whose last motion was ended by a limit sensor, from the reply to `SRQ:`; none is named after an error."""
+    return _LIMIT_STOPPED.get(reply.split(",")[1], set())
 
 
 def refusal(command: str) -> Refusal:

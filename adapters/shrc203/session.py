@@ -7,6 +7,7 @@ their replies have their place in the same queue.
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault
@@ -71,6 +72,7 @@ class Session:
         self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read())
         self.owed: set[int] = set()
+        self.abandoned = False
         self.completed: dict[int, int] = {}
         self.changed = asyncio.Event()
 
@@ -100,9 +102,12 @@ class Session:
             raise DriverFault(said.code, said.text, said.remedy)
         return line
 
-    async def tell(self, command: str) -> None:
-        """Give a setting. Raises `CannotDo` when the controller refuses it."""
-        line = await self._exchange(command, DONE)
+    async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
+        """Give a setting. Raises `CannotDo` when the controller refuses it.
+
+        still: called when it is the command's turn; if it raises, nothing is sent.
+        """
+        line = await self._exchange(command, DONE, still)
         if line.text in REFUSALS:
             said = refusal(command)
             raise CannotDo(said.code, said.text, said.remedy)
@@ -148,10 +153,16 @@ class Session:
         """From now on a bare digit is the completion of one of `motors`."""
         self.owed = set(motors)
         self.completed = {}
+        self.abandoned = False
 
     def owe_nothing(self) -> None:
         """No completion can come any more."""
         self.owed = set()
+        self.abandoned = False
+
+    def abandon(self) -> None:
+        """Nobody waits for the completions any more; they may come nevertheless."""
+        self.abandoned = bool(self.owed)
 
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
         """Begin no exchange that would still be on the line when another writer writes, at `line_at_ns`."""
@@ -166,9 +177,11 @@ class Session:
 
     # Inside
 
-    async def _exchange(self, command: str, form: Form) -> Line:
+    async def _exchange(self, command: str, form: Form, still: Callable[[], None] | None = None) -> Line:
         async with self._turn:
             await self._prepare()
+            if still is not None:
+                still()
             return await self._once(command, form)
 
     async def _prepare(self) -> None:

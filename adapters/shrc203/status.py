@@ -3,6 +3,8 @@
 from adapters.shrc203.replies import AxisStatus
 from orchestrator.model.state import Fault
 
+SCALE_ERROR = 1 << 2
+DISCONNECTED = 1 << 3
 EMERGENCY = 1 << 5
 LOGICAL_RETURN = 1 << 17
 MECHANICAL_RETURN = 1 << 18
@@ -16,8 +18,8 @@ _RESET = "remove the cause, then `tutti reset`"
 
 # Warnings are faults here: a unit that warns does not begin another move before somebody has looked at it.
 _FAULTS: tuple[tuple[int, str, str, str], ...] = (
-    (1 << 2, "scale-error", "scale error (S1)", "check the scale's cable, then switch the unit off and on"),
-    (1 << 3, "disconnected", "a cable of the stage is disconnected (S2)", "check the stage's cable; " + _POWER),
+    (SCALE_ERROR, "scale-error", "scale error (S1)", "check the scale's cable, then switch the unit off and on"),
+    (DISCONNECTED, "disconnected", "a cable of the stage is disconnected (S2)", "check the stage's cable; " + _POWER),
     (1 << 4, "overflow", "overflow error (S4)", _RESET),
     (EMERGENCY, "emergency-stop", "emergency stop", _RESET + ", and enable the axis again"),
     (1 << 6, "hunting", "hunting error (S3): the axis does not settle", _POWER),
@@ -41,6 +43,13 @@ def faults(axis: str, word: int) -> list[Fault]:
         for bit, code, text, remedy in _FAULTS
         if word & bit
     ]
+
+
+def lost(word: int, excited: bool, closed_loop: bool) -> bool:
+    """Whether the coordinate may not be where the stage is: steps of a motor that nothing holds, or a scale, fail."""
+    if word & DISCONNECTED:
+        return True
+    return bool(word & SCALE_ERROR) if closed_loop else not excited
 
 
 def why_stopped(axis: str, now: AxisStatus) -> str:

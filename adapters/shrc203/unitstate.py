@@ -1,27 +1,81 @@
 """What the driver knows of the unit between two commands."""
 
 import asyncio
+from collections import Counter
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
+from adapters.contract import CannotDo
 from adapters.shrc203.buffers import Buffers
 from adapters.shrc203.session import Session
+from orchestrator.link.base import LinkClosed
 
 
 @dataclass(slots=True)
 class UnitState:
-    """One connection to one unit. excited: last known, by motor. sentinel: query and the reply that it must have.
+    """One connection to one unit. excited, closed_loop: last known, by motor. sentinel: query and its due reply.
 
     untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them.
+    by_hand: motors that were last set going by a jog, which sends no completion line. restarts: noticed so far.
     """
 
     session: Session
     controllable: tuple[int, ...] = ()
     excited: dict[int, bool] = field(default_factory=dict[int, bool])
-    closed_loop: bool = False
+    closed_loop: dict[int, bool] = field(default_factory=dict[int, bool])
     sentinel: tuple[str, str] = ("", "")
     untidy: bool = False
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
+    by_hand: set[int] = field(default_factory=set[int])
+    restarts: int = 0
+    _stops_given: Counter[int] = field(default_factory=Counter[int])
 
     @property
     def buffers(self) -> Buffers:
         return Buffers(self.session, self.controllable)
+
+    # Setting going, and stopping
+
+    def count_stop(self, motors: Iterable[int]) -> None:
+        """A stop is written for these motors: what waits for its turn on the line must not set them going after it."""
+        self._stops_given.update(motors)
+
+    def stops_given(self, motor: int) -> int:
+        """A number that every stop of this motor raises."""
+        return self._stops_given[motor]
+
+    def require_no_stop(self, axis: str, motor: int, since: int) -> None:
+        """Raises `CannotDo` when a stop has come since `stops_given` was `since`."""
+        if self._stops_given[motor] != since:
+            raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
+
+    async def set_going(self, command: str, axis: str, motor: int, since: int) -> None:
+        """Send a line that moves one motor, unless a stop has come since `stops_given` was `since`.
+
+        The line keeps the order of what is written to it, so that a stop written later is carried out later. Raises
+        `CannotDo`; then the motor stands still.
+        """
+        sent = False
+
+        def still() -> None:
+            nonlocal sent
+            self.require_no_stop(axis, motor, since)
+            sent = True
+
+        try:
+            await self.session.tell(command, still)
+        except CannotDo:
+            raise
+        except BaseException:
+            # Cancelled, or without an answer: nobody would stop it any more.
+            if sent:
+                with suppress(LinkClosed):
+                    self.brake([motor])
+            raise
+
+    def brake(self, motors: Iterable[int]) -> None:
+        """`L:` to each by itself, now: for several at once it is refused where one motor is off (L2988)."""
+        lines = [f"L:{motor}" for motor in motors]
+        if lines:
+            self.session.interrupt(*lines)

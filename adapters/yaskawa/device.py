@@ -2,8 +2,9 @@
 
 import asyncio
 from collections.abc import Iterable
+from contextlib import suppress
 
-from adapters.contract import DriverFault, Identity
+from adapters.contract import CannotDo, DriverFault, Identity
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import VARIABLES, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
@@ -32,6 +33,8 @@ class Device:
         self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S)
         self._restarted = False
         self._must_reconnect = False
+        # How many stops each axis has been given: what was on its way when one came must not begin a motion after it.
+        self._stops_given = [0] * len(AXIS_LETTERS)
 
     # Reaching it
 
@@ -167,9 +170,62 @@ class Device:
         values, _ = await self.session.numbers(*(f"_{command}{AXIS_LETTERS[index]}" for index in indices))
         return {index: int(value) for index, value in zip(indices, values, strict=True)}
 
+    # Beginning and stopping motion
+
+    def stops_given(self, index: int) -> int:
+        """A number that every stop of this axis raises."""
+        return self._stops_given[index]
+
+    def require_no_stop(self, axis: str, index: int, since: int) -> None:
+        """Raises `CannotDo` when a stop has come since `stops_given` was `since`."""
+        if self._stops_given[index] != since:
+            raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
+
+    async def begin(self, axis: str, index: int, since: int) -> None:
+        """Begin what is loaded for one axis (BG, L3064), unless a stop has come since `stops_given` was `since`.
+
+        Commands of two handles may overtake each other in the controller, so a stop that came while BG was under way
+        is given again behind it. Raises `CannotDo`; then the axis stands still, or stops.
+        """
+        sent = False
+
+        def still() -> None:
+            nonlocal sent
+            self.require_no_stop(axis, index, since)
+            sent = True
+
+        try:
+            await self.session.tell(f"BG{AXIS_LETTERS[index]}", still)
+            self.require_no_stop(axis, index, since)
+        except Refused:
+            raise
+        except BaseException:
+            # Cancelled, without an answer, or stopped meanwhile: nobody would stop it any more.
+            if sent:
+                with suppress(LinkClosed):
+                    self.brake([index])
+            raise
+
+    def stop_axes(self, indices: Iterable[int]) -> None:
+        """Stop these axes by their ramps, now, without waiting for any reply; nothing on its way begins them."""
+        chosen = list(indices)
+        for index in chosen:
+            self._stops_given[index] += 1
+        self.brake(chosen)
+
+    def brake(self, indices: Iterable[int]) -> None:
+        """`ST` to these axes, now; programs and other axes go on (L10124)."""
+        letters = "".join(AXIS_LETTERS[index] for index in indices)
+        if letters:  # without letters it would be all of them
+            self._write_past(f"ST{letters}")
+
     def stop(self, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""
-        commands = stop_commands(abort)
+        self._stops_given = [given + 1 for given in self._stops_given]
+        self._write_past(*stop_commands(abort))
+
+    def _write_past(self, *commands: str) -> None:
+        """By the handle for stops, past everything that is under way on the other one."""
         if self._stops is not None:
             try:
                 self._stops.write(*commands)

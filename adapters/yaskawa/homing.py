@@ -5,15 +5,17 @@
     index    FI: to the next index pulse at low speed; position 0 there (L5219)
 
 HM and FE take their direction from the level of the home input (L5586), so that they find the switch from either
-side; only FI goes in the direction of the fleet file.
+side; only FI goes in the direction of the fleet file. A limit switch on the way stops the axis (L16558), and so would
+FL and BL: they must be off, because an axis that looks for its reference does not know where it is.
 """
 
 from collections.abc import Mapping, Sequence
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.device import Device
-from adapters.yaskawa.record import AXIS_LETTERS
-from adapters.yaskawa.trapezoid import RAMP_MAX, RAMP_STEP, RAMP_UNIT, SPEED_MAX, SPEED_STEP, SPEED_UNIT
+from adapters.yaskawa.record import AXIS_LETTERS, AxisRecord
+from adapters.yaskawa.registers import ramp_register, speed_register
+from adapters.yaskawa.trapezoid import RAMP_STEP, SPEED_STEP
 from adapters.yaskawa.words import stop_words
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.model.fleet import Axis
@@ -24,49 +26,69 @@ INDEX_SPEED_MAX = 1000.0  # counts/s; recommended for FI (L5224)
 SPEED_OF_LIMIT = 0.1
 LOOK_NS = 50 * NS_PER_MS
 
-
-def speed_register(counts_s: float, tick_s: float) -> int:
-    """SP or JG for a speed in host time."""
-    return max(SPEED_STEP, min(SPEED_MAX, int(counts_s * tick_s * SPEED_UNIT // SPEED_STEP) * SPEED_STEP))
+Searched = tuple[str, int, Axis]
+"""Name, index and configuration of an axis."""
 
 
-def ramp_register(counts_s2: float, tick_s: float) -> int:
-    """AC or DC for an acceleration in host time."""
-    return max(RAMP_STEP, min(RAMP_MAX, int(counts_s2 * tick_s**2 * RAMP_UNIT // RAMP_STEP) * RAMP_STEP))
+async def home(device: Device, clock: Clock, axes: Sequence[Searched]) -> Mapping[str, CannotDo]:
+    """Home `axes` at the same time, each for itself; gives those that have not succeeded, and why.
 
-
-async def home(device: Device, clock: Clock, axes: Sequence[tuple[str, int, Axis]]) -> Mapping[str, CannotDo]:
-    """Home `axes` (name, index, configuration) at the same time; gives those that have not succeeded, and why."""
-    session, tick_s = device.session, device.samples.tick_ns * 1e-9
-    commands = {name: METHODS[axis.homing.method] for name, _, axis in axes}
-    for name, index, axis in axes:
-        letter, scale, command = AXIS_LETTERS[index], float(axis.scale), commands[name]
-        speed = (axis.homing.speed or SPEED_OF_LIMIT * axis.limits.velocity) * scale
-        ramp = ramp_register(axis.limits.acceleration * scale, tick_s)
-        await session.tell(f"AC{letter}={ramp}")
-        await session.tell(f"DC{letter}={ramp}")
-        if command == "FI":
-            search = axis.homing.search_speed * scale if axis.homing.search_speed else min(speed, INDEX_SPEED_MAX)
-            # The direction is meant in the axis's unit; the controller may count the other way.
-            sign = axis.sign if axis.homing.direction == "positive" else -axis.sign
-            await session.tell(f"JG{letter}={sign * speed_register(search, tick_s)}")
+    Raises `CannotDo` when none was begun.
+    """
+    since = {index: device.stops_given(index) for _, index, _ in axes}
+    record = await device.record()
+    failed: dict[str, CannotDo] = {}
+    begun: list[Searched] = []
+    for each in axes:
+        name, index, axis = each
+        try:
+            _require_ready(name, record.axes[index])
+            await _load(device, index, axis)
+            await device.begin(name, index, since[index])
+        except CannotDo as error:
+            failed[name] = error
         else:
-            await session.tell(f"SP{letter}={speed_register(speed, tick_s)}")
-        await session.tell(f"{command}{letter}")
-    await session.tell("BG" + "".join(AXIS_LETTERS[index] for _, index, _ in axes))
+            begun.append(each)
+    if axes and not begun:
+        first = next(iter(failed.values())).refusal
+        raise CannotDo(first.code, "; ".join(str(error) for error in failed.values()), first.remedy)
     while True:
         record = await device.record()
-        if not any(record.axes[index].moving for _, index, _ in axes):
+        if not any(record.axes[index].moving for _, index, _ in begun):
             break
         await sleep_ns(clock, LOOK_NS)
-    failed: dict[str, CannotDo] = {}
-    for name, index, _ in axes:
-        number = record.axes[index].stop_code
-        if number not in FOUND[commands[name]]:
+    for name, index, axis in begun:
+        command, number = METHODS[axis.homing.method], record.axes[index].stop_code
+        if number not in FOUND[command]:
             stop = stop_words(number)
             failed[name] = CannotDo(
                 "homing-failed", f"axis {name}: homing {stop.text}", stop.remedy or "look at its switches"
             )
-        elif commands[name] == "FE":
-            await session.tell(f"DP{AXIS_LETTERS[index]}=0")
+        elif command == "FE":
+            await device.session.tell(f"DP{AXIS_LETTERS[index]}=0")
     return failed
+
+
+def _require_ready(name: str, now: AxisRecord) -> None:
+    if now.moving:
+        raise CannotDo("moving", f"axis {name} is moving", "wait, or stop it")
+    if not now.enabled:
+        raise CannotDo("not-enabled", f"axis {name} is not enabled", f"enable {name} first")
+
+
+async def _load(device: Device, index: int, axis: Axis) -> None:
+    """Speeds, ramps and the method of one axis. What is too slow for the controller is done as slowly as it can."""
+    session, tick_s = device.session, device.samples.tick_ns * 1e-9
+    letter, scale, command = AXIS_LETTERS[index], float(axis.scale), METHODS[axis.homing.method]
+    speed = (axis.homing.speed or SPEED_OF_LIMIT * axis.limits.velocity) * scale
+    ramp = max(RAMP_STEP, ramp_register(axis.limits.acceleration * scale, tick_s))
+    await session.tell(f"AC{letter}={ramp}")
+    await session.tell(f"DC{letter}={ramp}")
+    if command == "FI":
+        search = axis.homing.search_speed * scale if axis.homing.search_speed else min(speed, INDEX_SPEED_MAX)
+        # The direction is meant in the axis's unit; the controller may count the other way.
+        sign = axis.sign if axis.homing.direction == "positive" else -axis.sign
+        await session.tell(f"JG{letter}={sign * max(SPEED_STEP, speed_register(search, tick_s))}")
+    else:
+        await session.tell(f"SP{letter}={max(SPEED_STEP, speed_register(speed, tick_s))}")
+    await session.tell(f"{command}{letter}")

@@ -22,6 +22,7 @@ VELOCITY_SCALE = 64.0  # the record's velocity is 64 times TV
 
 # Axis status (L9017-9076) and switches (L8998-9015)
 MOVING = 1 << 15
+STOPPING = 1 << 4  # because of ST or a limit
 OFF_ON_ERROR = 1 << 1
 MOTOR_OFF = 1 << 0
 FORWARD_SWITCH = 1 << 3
@@ -45,6 +46,10 @@ class AxisRecord(NamedTuple):
     @property
     def moving(self) -> bool:
         return bool(self.status & MOVING)
+
+    @property
+    def stopping(self) -> bool:
+        return bool(self.status & STOPPING)
 
     @property
     def enabled(self) -> bool:

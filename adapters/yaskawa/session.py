@@ -67,14 +67,19 @@ class Session:
         self._shouted = False
         self.unsolicited: deque[str] = deque(maxlen=20)
 
-    async def tell(self, command: str) -> None:
+    async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
         """A command without data in its reply. Raises `Refused`."""
-        await self.ask(command, 0)
+        await self.ask(command, 0, still)
 
-    async def ask(self, command: str, lines: int = 1) -> Answer:
-        """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`."""
+    async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
+        """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.
+
+        still: called when it is the command's turn; if it raises, nothing is sent.
+        """
         async with self._turn:
             await self._get_in_step()
+            if still is not None:
+                still()
             parsed, sent_ns = await self._exchange(command, lambda: parse_reply(self._buffer))
             if parsed.refused:
                 raise await self._refusal(command)

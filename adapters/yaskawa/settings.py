@@ -9,6 +9,7 @@ from adapters.yaskawa.record import AXIS_LETTERS
 from orchestrator.model.fleet import Controller
 
 POSITION_ERROR_MAX = 32767  # counts (L4962)
+NO_LIMITS = (-2147483648, 2147483647)  # BL and FL that are off (L3185, L5284)
 
 
 async def configure(device: Device, config: Controller, options: Options, motors: Mapping[str, int]) -> None:
@@ -18,6 +19,13 @@ async def configure(device: Device, config: Controller, options: Options, motors
         raise _mismatch("servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)")
     for name, index in motors.items():
         await _axis(device, config, options, name, index)
+
+
+async def load_limits(device: Device, motors: Mapping[str, int], limits: Mapping[str, tuple[int, int] | None]) -> None:
+    """BL and FL of axes, (low, high) in counts; None switches them off. Raises `DriverFault` (`config-mismatch`)."""
+    for name, ends in limits.items():
+        low, high = ends or NO_LIMITS
+        await _load(device, name, motors[name], {"BL": low, "FL": high})
 
 
 async def _axis(device: Device, config: Controller, options: Options, name: str, index: int) -> None:
@@ -31,22 +39,24 @@ async def _axis(device: Device, config: Controller, options: Options, name: str,
         raise _mismatch(
             f"motor type (MT{letter})", f"{motor_type:g}", f"{wanted_type:g}", "check jumpers and option", name
         )
-    limits = axis.soft_limits_counts
-    wanted: dict[str, int] = {}
-    if limits is not None:
-        wanted |= {"BL": limits[0], "FL": limits[1]}
     if axis.following_error is not None:
-        wanted["ER"] = round(axis.following_error * float(axis.scale))
-        if not 1 <= wanted["ER"] <= POSITION_ERROR_MAX:
+        error = round(axis.following_error * float(axis.scale))
+        if not 1 <= error <= POSITION_ERROR_MAX:
             raise _mismatch(
                 f"following error (ER{letter})",
-                f"{wanted['ER']} counts in the fleet file",
+                f"{error} counts in the fleet file",
                 f"1..{POSITION_ERROR_MAX}",
                 "correct `following_error` in the fleet file",
                 name,
             )
+        await _load(device, name, index, {"ER": error})
+
+
+async def _load(device: Device, name: str, index: int, wanted: Mapping[str, int]) -> None:
+    """Load registers of an axis and read them back."""
+    letter = AXIS_LETTERS[index]
     for command, value in wanted.items():
-        await session.tell(f"{command}{letter}={value}")
+        await device.session.tell(f"{command}{letter}={value}")
         held = (await device.read_back(command, [index]))[index]
         if held != value:
             raise _mismatch(f"{command}{letter}", str(held), str(value), "does the unit take this value?", name)

@@ -20,6 +20,7 @@ from adapters.contract import (
 )
 from adapters.yaskawa import homing
 from adapters.yaskawa.device import Device, stop_commands
+from adapters.yaskawa.jogging import Jogging
 from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import GATE_TICKS
@@ -34,7 +35,7 @@ from adapters.yaskawa.record import (
     Record,
 )
 from adapters.yaskawa.session import MAX_LINE
-from adapters.yaskawa.settings import configure
+from adapters.yaskawa.settings import configure, load_limits
 from adapters.yaskawa.start import Start
 from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -47,6 +48,7 @@ POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 18
 DISARM_EXCHANGES = 4
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
+STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L7683-7704)
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
 
 _LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
@@ -83,6 +85,8 @@ class SMC4000Driver(Driver):
         self._motors = motor_indices(setup.config)
         self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1)
         self._start = Start(self._device, setup.clock, options, setup.config)
+        self._jogging = Jogging(self._device, setup.clock, self._motors)
+        self._steppers: set[str] = set()
         # The level of the limit bits at rest: it depends on how the switches are configured (L10906-10939).
         self._open_switches: dict[str, int] = {}
         self._capabilities = self._work_out_capabilities()
@@ -98,9 +102,11 @@ class SMC4000Driver(Driver):
         record = await self._device.record()
         for name, index in self._motors.items():
             letter, switches = AXIS_LETTERS[index], record.axes[index].switches
-            (forward_free, reverse_free), _ = await self._device.session.numbers(f"_LF{letter}", f"_LR{letter}")
+            operands = (f"_LF{letter}", f"_LR{letter}", f"_MT{letter}")
+            (forward_free, reverse_free, motor_type), _ = await self._device.session.numbers(*operands)
             pressed = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
             self._open_switches[name] = (switches ^ pressed) & (FORWARD_SWITCH | REVERSE_SWITCH)
+            (self._steppers.add if abs(motor_type) >= STEPPER_TYPE else self._steppers.discard)(name)
 
     async def close(self) -> None:
         await self._device.close()
@@ -143,6 +149,8 @@ class SMC4000Driver(Driver):
             moving=axis.moving,
             enabled=axis.enabled,
             limit=_LIMIT[bool(closed & FORWARD_SWITCH), bool(closed & REVERSE_SWITCH)],
+            # A servo's encoder goes on counting while it is off (L7573), and SH begins from there (L9924).
+            lost=name in self._steppers and not axis.enabled,
         )
 
     async def _faults(self, record: Record) -> Sequence[Fault]:
@@ -177,6 +185,7 @@ class SMC4000Driver(Driver):
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, LoweredMoves):
             raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
+        self._jogging.forget(move.axis for move in lowered.moves)
         return await self._start.arm(lowered, t0_ns, mapping)
 
     async def verify(self) -> None:
@@ -208,15 +217,19 @@ class SMC4000Driver(Driver):
                 raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
 
     async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+        self._jogging.forget(axes)
         return await homing.home(
             self._device, self._clock, [(name, self._motors[name], self._config.axes[name]) for name in axes]
         )
 
     async def jog(self, axis: str, move: JogMove) -> None:
-        raise CannotDo("not-by-hand", f"axis {axis} can not be moved by hand", "submit a move")
+        await self._jogging.jog(axis, move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        await self.stop(False)
+        self._device.stop_axes(self._motors[axis] for axis in axes)
+
+    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        await load_limits(self._device, self._motors, limits)
 
     async def set_output(self, number: int, on: bool) -> None:
         await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")

@@ -196,6 +196,9 @@ def test_soft_limits_are_loaded_and_end_a_move_as_a_fault():
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
+        await world.driver.load_limits({"x": None})
+        assert "-2147483648" in await world.talk("MG _BLX{F10.0}")
+        await world.driver.load_limits({"x": (-4000, 9000)})
         assert "9000" in await world.talk("MG _FLX{F10.0}")
         assert "-0000004000" in await world.talk("MG _BLX{F10.0}")
         await world.driver.enable(["x"], True)

@@ -1,0 +1,352 @@
+"""Axes of an SMC-4000 moved by hand, in virtual time; verdicts by the simulator's truth."""
+
+import asyncio
+from itertools import pairwise
+from random import Random
+
+import pytest
+from unit.adapters.test_smc4000_bench import World, run, trapezoid
+from unit.adapters.watching import Polling, Watch, at_rest
+
+from adapters.contract import CannotDo, JogMove
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+
+RAMP = 400_000.0  # counts/s²
+EXACT = 1 + 1e-9
+STOP_NS = 5 * NS_PER_MS  # from a stop's bytes to the first slower sample, over the LAN of these tests
+
+
+def jog(speed: float, end: int | None = None, ramp: float = RAMP) -> JogMove:
+    return JogMove(speed, ramp, end)
+
+
+async def rested(world: World, axis: str = "X", within_s: float = 3.0) -> float:
+    await at_rest(world.clock, world.controller, axis, round(within_s * NS_PER_S))
+    return world.controller.position(axis)
+
+
+@pytest.mark.parametrize("end", [None, 500_000])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        async with Watch(world.clock, world.controller, "XY") as tracks:
+            await world.driver.jog("x", jog(sign * 30_001.0, end and sign * end))
+            await sleep_ns(world.clock, 500 * NS_PER_MS)
+            reading = await world.driver.poll()
+            assert reading.axes["x"].moving and not reading.axes["y"].moving
+            assert world.controller.velocity("X") * sign == pytest.approx(30_000, abs=8)
+            await world.driver.stop_axes(["x"])
+            ordered_ns = world.clock.now_ns()
+            await rested(world)
+        assert tracks["X"].fastest <= 30_001 * EXACT
+        assert tracks["X"].steepest() <= RAMP * 1.01
+        assert tracks["Y"].fastest == 0
+        (motion,) = world.controller.motions
+        assert motion.slowing_ns is not None and motion.end_ns is not None
+        assert 0 < motion.slowing_ns - ordered_ns < STOP_NS
+        assert motion.end_ns - motion.slowing_ns == pytest.approx(30_000 / RAMP * NS_PER_S, rel=0.02)
+        assert not (await world.driver.poll()).axes["x"].moving
+
+    run(main)
+
+
+@pytest.mark.parametrize(("speed", "end"), [(30_000, 10_000), (-90_000, -25_001), (2_000, 7), (12e6, 3), (5.0, 2)])
+def test_it_comes_to_rest_exactly_at_the_end_of_its_way_without_another_word(speed: float, end: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        async with Watch(world.clock, world.controller, "X") as tracks:
+            await world.driver.jog("x", jog(speed, end))
+            world.wire.cut = True
+            assert await rested(world, within_s=5) == end
+        assert tracks["X"].between(min(0, end), max(0, end))
+
+    run(main)
+
+
+@pytest.mark.parametrize("end", [None, 90_000])
+def test_its_speed_is_changed_while_it_moves(end: int | None):
+    async def main(world: World) -> None:
+        await world.ready()
+        async with Watch(world.clock, world.controller, "X") as tracks:
+            for speed in (10_000.0, 40_000.0, 5_000.0, 5_000.0, 20_000.0):
+                await world.driver.jog("x", jog(speed, end))
+                await sleep_ns(world.clock, 200 * NS_PER_MS)
+                assert world.controller.velocity("X") == pytest.approx(speed, abs=10)
+        assert len(world.controller.motions) == 1
+        assert tracks["X"].steepest() <= RAMP * 1.01
+        await world.driver.stop_axes(["x"])
+        assert await rested(world) < 90_000
+
+    run(main)
+
+
+@pytest.mark.parametrize("ends", [(None, None), (80_000, -3_000), (80_000, None), (None, -3_000)])
+def test_its_direction_is_changed(ends: tuple[int | None, int | None]):
+    async def main(world: World) -> None:
+        await world.ready()
+        async with Watch(world.clock, world.controller, "X") as tracks:
+            for sign, end in zip((1, -1), ends, strict=True):
+                await world.driver.jog("x", jog(sign * 30_000.0, end))
+                await sleep_ns(world.clock, 300 * NS_PER_MS)
+                assert world.controller.velocity("X") == pytest.approx(sign * 30_000, abs=10)
+        assert tracks["X"].steepest() <= RAMP * 1.01
+        if ends[1] is not None:
+            assert await rested(world) == ends[1]
+
+    run(main)
+
+
+def test_a_gentler_ramp_and_a_nearer_end_go_by_way_of_a_stop():
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("x", jog(40_000.0, 80_000))
+        await sleep_ns(world.clock, 300 * NS_PER_MS)
+        async with Watch(world.clock, world.controller, "X") as tracks:
+            await world.driver.jog("x", jog(40_000.0, 60_000, RAMP / 4))
+            began_ns = world.clock.now_ns()
+            assert await rested(world) == 60_000
+        late = [v for at, v in zip(tracks["X"].at_ns, tracks["X"].velocities, strict=True) if at > began_ns]
+        assert max(abs(b - a) for a, b in pairwise(late)) <= RAMP / 4 * 1.01e-3
+
+    run(main)
+
+
+def test_axes_jog_beside_each_other_and_stop_alone():
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("x", jog(30_000.0, 80_000))
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        await world.driver.jog("y", jog(-20_000.0))
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        await world.driver.stop_axes(["x"])
+        await rested(world)
+        assert world.controller.velocity("Y") == pytest.approx(-20_000, abs=8)
+        await world.driver.jog("x", jog(-10_000.0, -500))
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        await world.driver.stop(False)
+        await rested(world)
+        await rested(world, "Y")
+        assert not world.controller.moving("X")
+
+    run(main)
+
+
+def test_nothing_is_stopped_where_nothing_is_named():
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("x", jog(30_000.0))
+        await world.driver.stop_axes([])
+        await sleep_ns(world.clock, 500 * NS_PER_MS)
+        assert world.controller.moving("X")
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    ("move", "code"),
+    [
+        (JogMove(1.0, RAMP, None), "too-slow"),
+        (JogMove(100.0, 1000.0, None), "too-gentle"),
+        (JogMove(100.0, RAMP, 0), "at-end"),
+        (JogMove(100.0, RAMP, -40), "at-end"),
+        (JogMove(-100.0, RAMP, 40), "at-end"),
+    ],
+)
+def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str):
+    async def main(world: World) -> None:
+        await world.ready()
+        with pytest.raises(CannotDo) as refused:
+            await world.driver.jog("x", move)
+        assert refused.value.refusal.code == code
+        await sleep_ns(world.clock, NS_PER_S)
+        assert not world.controller.motions
+
+    run(main)
+
+
+def test_what_would_fit_is_said():
+    async def main(world: World) -> None:
+        await world.ready()
+        for move in (JogMove(-1.0, RAMP, None), JogMove(900.0, 900.0, None)):
+            with pytest.raises(CannotDo) as refused:
+                await world.driver.jog("x", move)
+            least = float(refused.value.refusal.remedy.split()[2]) * 1.0001
+            fits = JogMove(least, RAMP, None) if move.velocity_counts_s < 0 else JogMove(900.0, least, None)
+            await world.driver.jog("x", fits)
+            await world.driver.stop_axes(["x"])
+            await rested(world)
+
+    run(main)
+
+
+def test_a_motor_that_is_off_and_an_axis_that_moves_otherwise_are_refused():
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.enable(["x"], False)
+        with pytest.raises(CannotDo, match="motor off"):
+            await world.driver.jog("x", jog(1000.0))
+        for line in ("PRY=50000", "SPY=20000", "BGY"):
+            await world.talk(line)
+        with pytest.raises(CannotDo, match="is moving"):
+            await world.driver.jog("y", jog(1000.0))
+        assert [motion.axis for motion in world.controller.motions] == ["Y"]
+
+    run(main)
+
+
+@pytest.mark.parametrize("end", [None, 90_000])
+def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None):
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("x", jog(30_000.0, end))
+        await sleep_ns(world.clock, 200 * NS_PER_MS)
+        world.controller.set_limit("X", "forward")
+        stopped_at = await rested(world)
+        reading = await world.driver.poll()
+        assert reading.axes["x"].limit == "forward" and not reading.faults
+        with pytest.raises(CannotDo, match="Limit Switch"):
+            await world.driver.jog("x", jog(30_000.0, end))
+        await world.driver.jog("x", jog(-30_000.0, end and -end))
+        await sleep_ns(world.clock, 200 * NS_PER_MS)
+        assert world.controller.position("X") < stopped_at
+        assert world.controller.moving("X")
+
+    run(main, options={"home_edge": {"X": 3000}})
+
+
+def test_after_jogs_a_step_and_homing_work_as_ever():
+    async def main(world: World) -> None:
+        await world.ready()
+        for end in (None, 20_000):
+            await world.driver.jog("x", jog(10_000.0, end))
+            await sleep_ns(world.clock, 200 * NS_PER_MS)
+            await world.driver.stop_axes(["x"])
+            start = round(await rested(world))
+            _, _, outcome, _ = await world.moved({"x": trapezoid(start, start + 5000, 80_000, 700_000)})
+            assert outcome.state == "done"
+            assert world.controller.position("X") == start + 5000
+        await world.driver.jog("x", jog(10_000.0))
+        with pytest.raises(CannotDo):
+            await world.driver.home(["x"])
+        await world.driver.stop_axes(["x"])
+        await rested(world)
+        assert not await world.driver.home(["x"])
+        assert (await world.driver.poll()).axes["x"].commanded_counts == 0
+
+    run(main, options={"home_edge": {"X": 3000}, "index_every": {"X": 2000}})
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("after_us", [*range(0, 12_000, 500)])
+def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("y", jog(5_000.0))
+        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0, 50_000)))
+        await sleep_ns(world.clock, after_us * 1000)
+        if abort:
+            await world.driver.stop(True)
+        else:
+            await world.driver.stop_axes(["x"])
+        (outcome,) = await asyncio.gather(begun, return_exceptions=True)
+        assert outcome is None or isinstance(outcome, CannotDo)
+        await sleep_ns(world.clock, 200 * NS_PER_MS)
+        assert not world.controller.moving("X")
+        assert world.controller.moving("Y") != abort
+        assert world.controller.position("X") < 700
+        await world.driver.jog("x", jog(20_000.0, 50_000))
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        assert world.controller.moving("X")
+
+    run(main, seed=after_us)
+
+
+@pytest.mark.parametrize("after_us", [*range(0, 30_000, 700)])
+def test_a_stop_while_the_direction_is_changed_leaves_it_still(after_us: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.jog("x", jog(5_000.0, 50_000))
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        turned = asyncio.create_task(world.driver.jog("x", jog(-5_000.0, -50_000)))
+        await sleep_ns(world.clock, after_us * 1000)
+        await world.driver.stop_axes(["x"])
+        await asyncio.gather(turned, return_exceptions=True)
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        assert not world.controller.moving("X")
+
+    run(main, seed=after_us)
+
+
+@pytest.mark.parametrize("after_us", [*range(100, 12_000, 700)])
+def test_a_jog_that_is_cancelled_and_stopped_leaves_the_driver_usable(after_us: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0, 50_000)))
+        await sleep_ns(world.clock, after_us * 1000)
+        begun.cancel()
+        await asyncio.gather(begun, return_exceptions=True)
+        await world.driver.stop_axes(["x"])
+        await sleep_ns(world.clock, 300 * NS_PER_MS)
+        assert not world.controller.moving("X")
+        await world.driver.poll()
+        await world.driver.jog("x", jog(20_000.0, 50_000))
+        assert await rested(world, within_s=5) == 50_000
+
+    run(main, seed=after_us)
+
+
+def test_a_cancelled_begin_stops_by_itself():
+    async def main(world: World) -> None:
+        await world.ready()
+
+        def gone(data: bytes) -> bytes:
+            if b"BGX" in data:
+                world.wire.to_near = lambda _: b""
+                asyncio.get_running_loop().call_later(0.01, begun.cancel)
+            return data
+
+        world.wire.to_far = gone
+        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0)))
+        await asyncio.gather(begun, return_exceptions=True)
+        assert begun.cancelled()
+        await sleep_ns(world.clock, 300 * NS_PER_MS)
+        assert world.controller.motions and not world.controller.moving("X")
+
+    run(main)
+
+
+@pytest.mark.parametrize("seed", range(0, 240))
+def test_random_hands_never_pass_the_end_nor_the_speed(seed: int):
+    async def main(world: World) -> None:
+        draw = Random(seed)
+        await world.ready(3)
+        low, high, top = -draw.randrange(300, 30_000), draw.randrange(300, 30_000), 0.0
+        asked: JogMove | None = None
+        watch = Watch(world.clock, world.controller, "X", 2 * NS_PER_MS)
+        async with watch as tracks, Polling(world.clock, world.driver.poll):
+            for _ in range(25):
+                if draw.random() < 0.7:
+                    sign = draw.choice((1, -1))
+                    speed = draw.choice((draw.uniform(10, 500), draw.uniform(500, 60_000)))
+                    asked = JogMove(sign * speed, draw.choice((RAMP, RAMP / 2)), high if sign > 0 else low)
+                    top = max(top, speed)
+                    try:
+                        await world.driver.jog("x", asked)
+                    except CannotDo as refused:
+                        assert refused.refusal.code == "at-end"
+                        assert world.controller.position("X") in (low, high)
+                else:
+                    slow_ns = round(top / (RAMP / 2) * NS_PER_S) + 10 * NS_PER_MS
+                    await world.driver.stop_axes(["x"])
+                    if draw.random() < 0.5:
+                        await at_rest(world.clock, world.controller, "X", slow_ns)
+                await sleep_ns(world.clock, draw.choice((0, 3, 30, 300)) * NS_PER_MS)
+            await world.driver.stop_axes(["x"])
+            await at_rest(world.clock, world.controller, "X", NS_PER_S)
+        assert tracks["X"].between(low, high)
+        assert tracks["X"].fastest <= top * EXACT
+        reading = (await world.driver.poll()).axes["x"]
+        assert reading.commanded_counts == world.controller.position("X") and not reading.moving
+
+    run(main, seed=seed, ppm=Random(seed).uniform(-95, 95))

@@ -1,0 +1,90 @@
+"""What a simulated controller really commands, looked at all the time while a test does something."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from sim.core.controller import SimulatedController
+
+
+@dataclass
+class Track:
+    """Instants (ns), positions (counts) and velocities (counts/s) of one axis."""
+
+    at_ns: list[int] = field(default_factory=list)
+    positions: list[float] = field(default_factory=list)
+    velocities: list[float] = field(default_factory=list)
+
+    @property
+    def fastest(self) -> float:
+        return max(map(abs, self.velocities), default=0.0)
+
+    def steepest(self) -> float:
+        """The largest change of velocity, counts/s², between two looks."""
+        changes = zip(self.velocities, self.velocities[1:], self.at_ns, self.at_ns[1:], strict=False)
+        return max((abs(b - a) / (t1 - t0) * 1e9 for a, b, t0, t1 in changes), default=0.0)
+
+    def between(self, low: float, high: float) -> bool:
+        return low <= min(self.positions) and max(self.positions) <= high
+
+
+class Watch:
+    """`async with Watch(...) as tracks`: the truth about `axes`, by their names."""
+
+    def __init__(
+        self, clock: Clock, controller: SimulatedController, axes: Sequence[str], every_ns: int = NS_PER_MS
+    ) -> None:
+        self._clock = clock
+        self._controller = controller
+        self._every_ns = every_ns
+        self.tracks = {axis: Track() for axis in axes}
+
+    async def __aenter__(self) -> dict[str, Track]:
+        self._task = asyncio.get_running_loop().create_task(self._look())
+        return self.tracks
+
+    async def __aexit__(self, *args: object) -> None:
+        self._task.cancel()
+        with suppress(asyncio.CancelledError):
+            await self._task
+
+    async def _look(self) -> None:
+        while True:
+            for axis, track in self.tracks.items():
+                track.at_ns.append(self._clock.now_ns())
+                track.positions.append(self._controller.position(axis))
+                track.velocities.append(self._controller.velocity(axis))
+            await sleep_ns(self._clock, self._every_ns)
+
+
+class Polling:
+    """`async with Polling(...)`: polls at a rate beside whatever is done."""
+
+    def __init__(self, clock: Clock, poll: Callable[[], Awaitable[object]], hz: float = 10.0) -> None:
+        self._clock = clock
+        self._poll = poll
+        self._pause_ns = round(1e9 / hz)
+
+    async def __aenter__(self) -> None:
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def __aexit__(self, *args: object) -> None:
+        self._task.cancel()
+        with suppress(asyncio.CancelledError):
+            await self._task
+
+    async def _run(self) -> None:
+        while True:
+            await self._poll()
+            await sleep_ns(self._clock, self._pause_ns)
+
+
+async def at_rest(clock: Clock, controller: SimulatedController, axis: str, within_ns: int) -> int:
+    """Wait until an axis stands still, and give how long that took."""
+    began_ns = clock.now_ns()
+    while controller.moving(axis):
+        assert clock.now_ns() - began_ns <= within_ns, f"{axis} still moves after {within_ns / 1e9} s"
+        await sleep_ns(clock, NS_PER_MS // 4)
+    return clock.now_ns() - began_ns
