@@ -69,7 +69,9 @@ def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
         states = await virtual.client().status()
         assert states["stage"].axes["focus"].referenced
         assert not states["gantry"].axes["x"].referenced
-        assert [m.axis for m in virtual.controllers["stage"].motions] == ["3"] * len(virtual.controllers["stage"].motions)
+        assert [m.axis for m in virtual.controllers["stage"].motions] == ["3"] * len(
+            virtual.controllers["stage"].motions
+        )
 
     run_fleet(main, fleet)
 
