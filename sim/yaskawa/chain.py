@@ -95,6 +95,10 @@ class Chain:
         unit, letter = self._axis(axis)
         unit.set_stalled(letter, stalled)
 
+    def push(self, axis: str, counts: int) -> None:
+        unit, letter = self._axis(axis)
+        unit.push(letter, counts)
+
     def output(self, number: int) -> bool:
         unit, local = self._point(number)
         return unit.output(local)
