@@ -1,7 +1,7 @@
 """A daisy chain of SMC-2000: each unit's port 2 wired to port 1 of the next, the host on port 1 of the first (L937)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import Clock
 from sim.core.controller import Connection, LimitSwitch, Motion, PortRefused, Send
@@ -129,13 +129,7 @@ class Chain:
     def motions(self) -> Sequence[Motion]:
         """All units' motions in order of start, axes by their names in the chain."""
         found = [
-            Motion(
-                f"{unit.machine.address}{motion.axis}",
-                motion.start_ns,
-                motion.start_counts,
-                motion.end_ns,
-                motion.end_counts,
-            )
+            replace(motion, axis=f"{unit.machine.address}{motion.axis}")
             for unit in self.units
             for motion in unit.motions
         ]

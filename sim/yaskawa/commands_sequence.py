@@ -327,7 +327,8 @@ def _ellipse(text: str) -> Runner:
 
 
 @command("TN")
-def _tangent(text: str) -> Runner:
+def tangent(text: str) -> Runner:
+    """`TN m,n`: scale and zero of the tangent axis."""
     fields = values(parse_fields(text, 2))
 
     def run(c: Context) -> Outcome:

@@ -13,10 +13,12 @@ from sim.yaskawa.expressions import integer
 from sim.yaskawa.formats import Format
 from sim.yaskawa.options import Smc4000Options
 from sim.yaskawa.profile import SPEED_UNIT
-from sim.yaskawa.registry import Outcome, Runner, bare, command
+from sim.yaskawa.registry import COMMANDS, Command, Outcome, Runner, bare, command
 from sim.yaskawa.sequence import System
 from sim.yaskawa.statements import Raw
 
+_ADDRESSED_BIT = 7
+"""Of TB in a daisy chain (SMC-2000: L11659)."""
 AVERAGED = 256
 """Samples that TV averages over (L11021)."""
 _FEED_FORWARD = 1.5e-7
@@ -110,7 +112,8 @@ def general(c: Context) -> int:
     interpreter = machine.interpreter
     events = {frame.event for frame in interpreter.threads[0].stack}
     return (
-        interpreter.any_running() << machine.model.running_bit
+        (machine.selected is True) << _ADDRESSED_BIT
+        | interpreter.any_running() << machine.model.running_bit
         | (machine.motion.contour is not None and machine.motion.contour.started is not None) << 5
         | bool(events & {"CMDERR", "LIMSWI", "POSERR"}) << 4
         | interpreter.interrupts_on << 3
@@ -119,17 +122,21 @@ def general(c: Context) -> int:
     )
 
 
-def _tell(
+def tell(
     op: str,
     read: Reader,
     form: Format | None = None,
     allowed: str = LETTERS + "N",
     digits: Callable[[Context], int] | None = None,
+    table: dict[str, Command] = COMMANDS,
+    asked: bool = True,
 ) -> None:
-    """Enter a command that tells one number of each axis."""
+    """Enter a command that tells one number of each axis; `asked` when `?` is another way to name them."""
 
-    @command(op)
+    @command(op, table=table)
     def compile_tell(text: str) -> Runner:
+        if "?" in text and not asked:
+            raise CommandError(51)
         if "?" in text:
             names = tuple(LETTERS[index] for index, mark in enumerate(split(text)) if mark == "?")
         else:
@@ -153,19 +160,19 @@ def report(c: Context, written: str) -> Outcome:
     return None
 
 
-_tell("TP", encoder)
-_tell("RP", reference)
-_tell("TE", error)
-_tell("TD", auxiliary)
-_tell("QP", unmodularised)
-_tell("QA", auxiliary, allowed=LETTERS)
-_tell("RL", latched, allowed=LETTERS)
-_tell("RU", latched, allowed=LETTERS)
-_tell("TV", velocity, digits=lambda c: c.machine.model.speed_digits)
-_tell("TT", volts, Format(1, 4))
-_tell("TS", switches, Format(3, 0))
-_tell("SC", lambda c, axis: axis.stop_code, Format(3, 0))
-_tell("TY", lambda c, axis: -2147483648, Format(10, 0))
+tell("TP", encoder)
+tell("RP", reference)
+tell("TE", error)
+tell("TD", auxiliary)
+tell("QP", unmodularised)
+tell("QA", auxiliary, allowed=LETTERS)
+tell("RL", latched, allowed=LETTERS)
+tell("RU", latched, allowed=LETTERS)
+tell("TV", velocity, digits=lambda c: c.machine.model.speed_digits)
+tell("TT", volts, Format(1, 4))
+tell("TS", switches, Format(3, 0))
+tell("SC", lambda c, axis: axis.stop_code, Format(3, 0))
+tell("TY", lambda c, axis: -2147483648, Format(10, 0))
 
 
 @command("TB")

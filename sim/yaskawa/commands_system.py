@@ -119,7 +119,8 @@ def _message_port(text: str) -> Runner:
 
 
 @command("CW")
-def _mark_messages(text: str) -> Runner:
+def mark_messages(text: str) -> Runner:
+    """`CW`: marks on what nobody has asked for; 0 tells the copyright."""
     value = integer(text)
 
     def run(c: Context) -> Outcome:

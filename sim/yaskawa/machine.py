@@ -86,7 +86,7 @@ class Machine:
         self.position_format = Format(10, 0)
         self.variable_format = Format(10, 4)
         self.error_code = 0
-        self.echo = self.options.echo
+        self.echo = self.options.echo or (self.model.factory_echo and self.memory.factory)
         self.unsolicited_port = "S"
         self.unsolicited_mode = _PLAIN
         self.polarity = [-1, -1, -1, 0]

@@ -26,9 +26,12 @@ class Memory:
     def __init__(self, machine: "Machine") -> None:
         self.machine = machine
         self.erase()
+        self.factory = False
+        """Erased since it was built, so that not even the option of the echo holds any more."""
 
     def erase(self) -> None:
         """Master reset: nothing is burned."""
+        self.factory = True
         self.password = self.machine.model.password
         self._lock = 0
         self._registers: dict[str, dict[str, int]] = {}

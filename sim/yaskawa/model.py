@@ -90,6 +90,8 @@ class Model:
     """QD and QU are refused in motion, and QD in programs."""
     switch_levels: bool = True
     """TS tells the levels of the limit switches; otherwise whether they are inactive."""
+    factory_echo: bool = False
+    """A master reset switches the echo on, whatever the option says."""
     external_clock: bool = False
     """A negative `TM` takes the samples of another unit."""
     speed_digits: int = 8

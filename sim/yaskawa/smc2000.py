@@ -44,9 +44,9 @@ LOCK_SETTING = 2
 
 _SHARED = frozenset(
     """
-    AB AC AF AI AM AP AR AS AT AV BG BL BN BP BV CB CD CE CM CR CS CW DA DC DE DL DM DP DT DV EB EM EO EP ER ES ET FA
+    AB AC AF AI AM AP AR AS AT AV BG BL BN BP BV CB CD CE CM CR CS DA DC DE DL DM DP DT DV EB EM EO EP ER ES ET FA
     FE FI FL FV GN GR HM HX IL IT JG JP JS KD KI KP KS LC LE LI LM LS LT LV LZ MF MG MO MR MT NO OB OE OF PW QD RA RC
-    RD RE RI RL RP SB SC SH SP ST TC TD TE TL TM TN TP TR TS TT TV TW TY UL VA VD VE VF VP VR VS VT WC WT XQ ZR ZS
+    RD RE RI RL RP SB SC SH SP ST TC TD TL TM TP TR TS TV TW UL VA VD VE VF VP VR VS VT WC WT XQ ZR ZS
     """.split()  # noqa: SIM905
 )
 _SHARED_OPERANDS = frozenset(
@@ -119,6 +119,7 @@ MODEL = Model(
         "VS": None,
         "VT": Format(1, 4),
     },
+    factory_echo=True,
     external_clock=True,
     codes={33: 4, 63: 1, 126: 6, 130: 1},
 )

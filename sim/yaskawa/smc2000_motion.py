@@ -5,8 +5,8 @@ from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, parse_form,
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_motion import busy, chosen, increment
 from sim.yaskawa.commands_parameters import arm, form_command, parameter_writer, targets
-from sim.yaskawa.commands_sequence import vector_mode
-from sim.yaskawa.commands_status import encoder
+from sim.yaskawa.commands_sequence import tangent, vector_mode
+from sim.yaskawa.commands_status import encoder, error, tell, volts
 from sim.yaskawa.commands_trip import enter_place, travelled
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
@@ -113,6 +113,19 @@ def _configure(text: str) -> Runner:
         return None
 
     return run
+
+
+@command("TN", table=SMC2000_COMMANDS)
+def _tangent(text: str) -> Runner:
+    """`TN ?` tells where the tangent axis begins, as `_TN` does (L12034)."""
+    if text == "?":
+        return lambda c: c.machine.show("TN", c.machine.model.operand("_TN")(c))
+    return tangent(text)
+
+
+tell("TE", error, table=SMC2000_COMMANDS, asked=False)  # L11850
+tell("TT", volts, Format(1, 4), table=SMC2000_COMMANDS, asked=False)  # L12180
+tell("TY", lambda c, axis: axis.absolute, Format(10, 0), table=SMC2000_COMMANDS)  # L12250
 
 
 # Absolute encoders

@@ -4,6 +4,7 @@ from sim.yaskawa import fixed
 from sim.yaskawa.arguments import parse_fields, split, values
 from sim.yaskawa.commands_data import array_name, listing, span
 from sim.yaskawa.commands_status import general, report
+from sim.yaskawa.commands_system import mark_messages
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import compile_expression, integer
@@ -57,6 +58,12 @@ def _position_format(text: str) -> Runner:
         return None
 
     return run
+
+
+@command("CW", table=SMC2000_COMMANDS)
+def _mark_messages(text: str) -> Runner:
+    """`CW ?` tells the copyright, too (L8074)."""
+    return mark_messages("0" if text == "?" else text)
 
 
 @command("TB", table=SMC2000_COMMANDS)
