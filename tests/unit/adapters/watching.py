@@ -1,11 +1,13 @@
 """What a simulated controller really commands, looked at all the time while a test does something."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.link.base import LinkClosed
 from sim.core.controller import SimulatedController
 
 
@@ -88,3 +90,11 @@ async def at_rest(clock: Clock, controller: SimulatedController, axis: str, with
         assert clock.now_ns() - began_ns <= within_ns, f"{axis} still moves after {within_ns / 1e9} s"
         await sleep_ns(clock, NS_PER_MS // 4)
     return clock.now_ns() - began_ns
+
+
+def not_found(outcome: Mapping[str, CannotDo] | BaseException, axis: str) -> str:
+    """Why a homing of `axis` has failed, by what it gave or raised."""
+    if isinstance(outcome, BaseException):
+        assert isinstance(outcome, CannotDo | DriverFault | LinkClosed), repr(outcome)
+        return str(outcome)
+    return str(outcome[axis])
