@@ -195,9 +195,9 @@ class Commands:
         return await self._parts.referencing.home(request.axes)
 
     async def _jog(self, request: JogRequest) -> Reply:
-        self._parts.jogging.take_seq(request)
         self._condition.require_known(request.velocities)
         self._parts.leases.require(request.holder, request.velocities)
+        self._parts.jogging.take_seq(request)
         if any(request.velocities.values()):
             self._fence.require_no_estop()
             self._condition.require_no_fault()

@@ -1,6 +1,6 @@
 """Who may move the axes of a controller: one holder each, in the reign that gave it, for as long as it is renewed."""
 
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from orchestrator.clock.base import NS_PER_MS, Clock, Timer
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
 
-OVER_KEPT = 64  # holders; a renewal that was overtaken by the end of its lease must not revive it
+ENDS_KEPT = 64  # holders
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +17,14 @@ class _Lease:
     holder: str
     actor: str
     until_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Ended:
+    """Why the lease of a holder has ended; final: it was taken back, and no late renewal may revive it."""
+
+    reason: str
+    final: bool
 
 
 class Leases:
@@ -37,7 +45,7 @@ class Leases:
         self._independent_axes = independent_axes
         self._ended = ended
         self._held: dict[str, _Lease] = {}
-        self._over: deque[str] = deque(maxlen=OVER_KEPT)
+        self._ends: OrderedDict[str, _Ended] = OrderedDict()
         self._timer: Timer | None = None
 
     @property
@@ -54,11 +62,13 @@ class Leases:
                 f"take all of them: {', '.join(self._config.axes)}",
             )
         if request.ttl_ms == 0:
-            self._end([axis for axis in request.axes if self._holds(request.holder, axis)], "given back")
-            self._over.append(request.holder)
+            mine = [axis for axis in request.axes if self._holds(request.holder, axis)]
+            self._end(mine, request.reason or "given back")
+            self._note_end(request.holder, request.reason or "given back", final=True)
             return
-        if request.holder in self._over:
-            raise CannotDo("lease-over", f"{request.holder} has given its lease back", "take it under a new name")
+        ended = self._ends.get(request.holder)
+        if ended is not None and ended.final:
+            raise CannotDo("lease-over", f"the lease of {request.holder} is over", "take it under a new name")
         for axis in request.axes:
             lease = self._held.get(axis)
             if lease is not None and lease.holder != request.holder:
@@ -73,7 +83,9 @@ class Leases:
         for axis in axes:
             lease = self._held.get(axis)
             if lease is None:
-                raise CannotDo("not-leased", f"axis {axis} is not held by {holder}", "take it first")
+                ended = self._ends.get(holder)
+                why = f"; its lease has ended: {ended.reason}" if ended is not None else ""
+                raise CannotDo("not-leased", f"axis {axis} is not held by {holder}{why}", "take it first")
             if lease.holder != holder:
                 raise CannotDo("leased", f"axis {axis} is held by {lease.actor} ({lease.holder})", "wait, or ask them")
 
@@ -101,4 +113,10 @@ class Leases:
         for axis in axes:
             by_holder.setdefault(self._held.pop(axis).holder, []).append(axis)
         for holder, lost in by_holder.items():
+            self._note_end(holder, reason, final=False)
             self._ended(holder, lost, reason)
+
+    def _note_end(self, holder: str, reason: str, final: bool) -> None:
+        self._ends[holder] = _Ended(reason, final)
+        if len(self._ends) > ENDS_KEPT:
+            self._ends.popitem(last=False)

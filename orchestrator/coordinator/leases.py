@@ -110,7 +110,7 @@ class LeaseBook:
         if reason:
             self._log.warning(f"the lease of {held.actor} ({held.what}) ends: {reason}", holder=holder)
         try:
-            await self._tell(held, 0)
+            await self._tell(held, 0, reason)
         except Refuse as error:
             self._log.warning(f"lease not taken back: {error.refusal.text}; it runs out by itself", holder=holder)
         self._held.pop(holder, None)
@@ -129,12 +129,12 @@ class LeaseBook:
             whole += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
         return tuple(whole)
 
-    async def _tell(self, held: Held, ttl_ms: int) -> None:
+    async def _tell(self, held: Held, ttl_ms: int, reason: str = "") -> None:
         """Tell the adapters. Raises `Refuse` for the first that refuses."""
 
         async def ask(controller: str, names: list[str]) -> Reply:
             fields = self._members.fields(held.actor)
-            request = LeaseRequest(**fields, axes=names, holder=held.holder, ttl_ms=ttl_ms)
+            request = LeaseRequest(**fields, axes=names, holder=held.holder, ttl_ms=ttl_ms, reason=reason)
             return await self._members.ask(controller, "lease", request, Reply, ANSWER_S)
 
         replies = await asyncio.gather(*(ask(c, names) for c, names in by_controller(held.axes).items()))

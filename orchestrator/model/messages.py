@@ -154,10 +154,11 @@ class AxesRequest(Fenced):
 class LeaseRequest(AxesRequest):
     """From now on only `holder` may move these axes, for `ttl_ms` or until it is said again; 0 takes it back.
 
-    What the holder moves when its lease ends is stopped. A job's holder is its id.
+    What the holder moves when its lease ends is stopped. A job's holder is its id. reason: why it is taken back.
     """
 
     holder: str
+    reason: str = ""
     ttl_ms: int = Field(ge=0, le=60_000)
 
 

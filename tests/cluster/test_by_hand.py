@@ -1,0 +1,376 @@
+"""Axes in people's hands: a jog lives while it is renewed and ends by itself, whoever of the others dies or hangs."""
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
+
+from orchestrator.client.api import Refused, Tutti
+from orchestrator.client.hand import Hand
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Permit
+from orchestrator.model.messages import JogRequest, Reply
+
+# By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
+AXES = {"gantry.x": ("gantry", "X", 1000, 20.0), "stage.u": ("stage", "1", 10_000, 1.0)}
+VALID_NS = 200 * NS_PER_MS
+# From silence to rest, at the jogged speeds: the deadline, the way of the stop, a ramp of at most 20 ms, one look.
+RESTS_NS = VALID_NS + 60 * NS_PER_MS
+
+
+class Jogged:
+    """One axis of a fleet, held and jogged."""
+
+    def __init__(self, fleet: VirtualFleet, axis: str) -> None:
+        self.fleet = fleet
+        self.axis = axis
+        self.controller, self.motor, self.scale, self.speed = AXES[axis]
+
+    @property
+    def moving(self) -> bool:
+        return self.fleet.controllers[self.controller].moving(self.motor)
+
+    @property
+    def position(self) -> float:
+        return self.fleet.controllers[self.controller].position(self.motor) / self.scale
+
+    @property
+    def end_ns(self) -> int:
+        """When its last motion came to rest."""
+        ends = [m.end_ns for m in self.fleet.controllers[self.controller].motions if m.axis == self.motor]
+        assert ends[-1] is not None
+        return ends[-1]
+
+    async def hold(self, hand: Hand, seconds: float, velocity: float | None = None) -> None:
+        """Hold the key."""
+        await hand.jog({self.axis: self.speed if velocity is None else velocity})
+        for _ in range(round(seconds / 0.05)):
+            await asyncio.sleep(0.05)
+            await hand.renew()
+
+    async def rest(self) -> None:
+        """Wait until it rests."""
+        while self.moving:
+            await asyncio.sleep(0.005)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        jogged, client = Jogged(fleet, axis), fleet.client("anna")
+        async with client.by_hand([axis], what="alignment") as hand:
+            before = jogged.position
+            await jogged.hold(hand, 1.0)
+            assert jogged.position - before == pytest.approx(jogged.speed, rel=0.1)
+            states = await client.status()
+            assert states[jogged.controller].mode == "jogging"
+            assert set(states[jogged.controller].leases.values()) == {hand.holder}
+            let_go_ns = fleet.clock.now_ns()
+            await hand.stop()
+            await jogged.rest()
+            assert jogged.end_ns - let_go_ns < 60 * NS_PER_MS
+            await jogged.hold(hand, 0.5, -jogged.speed / 2)
+            assert fleet.controllers[jogged.controller].velocity(jogged.motor) < 0
+        await jogged.rest()
+        await fleet.until(lambda states: states[jogged.controller].mode == "idle")
+        assert not (await client.status())[jogged.controller].leases
+        report = await outcome(fleet, job(f"[{{do: move, to: {{{axis}: 5}}}}]"))
+        assert report.state == "done", report.reason
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("seed", range(3))
+def test_silence_stops_the_axis_in_its_adapter(axis: str, seed: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        jogged, client = Jogged(fleet, axis), fleet.client()
+        async with client.by_hand([axis]) as hand:
+            await jogged.hold(hand, 0.6 + 0.07 * seed)
+            silent_ns = fleet.clock.now_ns()
+            await asyncio.sleep(0.15)
+            assert jogged.moving
+            await jogged.rest()
+            assert VALID_NS - 20 * NS_PER_MS < jogged.end_ns - silent_ns < RESTS_NS
+            with pytest.raises(Refused, match="nobody has renewed it") as caught:
+                await hand.renew()
+            assert caught.value.refusal.code == "not-jogging"
+
+    run_fleet(main, seed=seed)
+
+
+def test_an_axis_that_does_not_know_where_it_is_may_only_creep() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
+        jogged, client = Jogged(fleet, "gantry.x"), fleet.client()
+        async with client.by_hand(["gantry.x"]) as hand:
+            with pytest.raises(Refused, match=r"may jog at 4 mm/s at most while it is not referenced") as caught:
+                await hand.jog({"gantry.x": 4.1})
+            assert caught.value.refusal.code == "too-fast"
+            assert not jogged.moving
+            before = jogged.position
+            # Soft limits mean nothing yet: the axis may be moved beyond where they would be.
+            for _ in range(5):
+                await jogged.hold(hand, 1.0, -4.0)
+            assert jogged.position - before < -15
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_a_jog_ends_at_the_soft_limit_and_leads_back_from_it(axis: str) -> None:
+    base = demo_fleet()
+    near = changed(
+        base,
+        gantry={"axes": {"x": {"soft_limits": {"min": -10, "max": 12.345}}}},
+        stage={"axes": {"u": {"soft_limits": {"min": -1, "max": 0.7}}}},
+    )
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        jogged, client = Jogged(fleet, axis), fleet.client()
+        end = 12.345 if axis == "gantry.x" else 0.7
+        async with client.by_hand([axis]) as hand:
+            with pytest.raises(Refused, match="soft limit") as caught:
+                await jogged.hold(hand, 3.0)
+            assert caught.value.refusal.code == "not-jogging"
+            assert jogged.position == pytest.approx(end, abs=1e-9)
+            with pytest.raises(Refused, match="is at its soft limit") as caught:
+                await hand.jog({axis: jogged.speed})
+            assert caught.value.refusal.code == "soft-limit"
+            assert caught.value.refusal.remedy == "jog the other way"
+            await jogged.hold(hand, 0.3, -jogged.speed)
+            assert jogged.position < end
+
+    run_fleet(main, near)
+
+
+def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 3}}]"))
+        tight = changed(demo_fleet(), gantry={"axes": {"x": {"soft_limits": {"min": -20, "max": -5}}}})
+        await client.reload(tight)
+        assert (await outcome(fleet, PREPARE)).state == "done"  # homed to 0, beyond the limit at -5
+        jogged = Jogged(fleet, "gantry.x")
+        async with client.by_hand(["gantry.x"]) as hand:
+            with pytest.raises(Refused, match="soft limit"):
+                await hand.jog({"gantry.x": 5})
+            assert not jogged.moving
+            await jogged.hold(hand, 0.5, -5)
+            assert jogged.position < -1
+        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        report = await outcome(fleet, job("[{do: move, to: {gantry.x: -10}}]"))
+        assert report.state == "done", report.reason
+
+    run_fleet(main)
+
+
+def test_an_axis_moved_by_hand_while_it_is_off_is_found_where_it_is() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 5, stage.u: 1}}]"))
+        await outcome(fleet, job("[{do: disable, axes: [gantry, stage]}]"))
+        fleet.within("gantry", lambda gantry: gantry.push("X", 2500))
+        fleet.within("stage", lambda stage: stage.push("1", 300))
+        states = await fleet.until(lambda states: states["gantry"].axes["x"].raw_counts == 7500)
+        # The gantry's encoder has seen it; a stepper without one can not, and does not pretend to.
+        assert states["gantry"].axes["x"].referenced
+        assert not any(axis.referenced for axis in states["stage"].axes.values())
+        await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
+        assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 5}}]"))).state == "done"
+        assert fleet.controllers["gantry"].position("X") == 5000
+        report = await outcome(fleet, job("[{do: move, to: {stage.u: 1}}]"))
+        assert report.steps[-1].refused is not None
+        assert report.steps[-1].refused.code == "not-referenced"
+        del client
+
+    run_fleet(main)
+
+
+# Who may
+
+
+def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        anna, ben = fleet.client("anna"), fleet.client("ben")
+        async with anna.by_hand(["gantry.x"], what="jog panel") as hand:
+            with pytest.raises(Refused, match=r"gantry\.x is in use by anna \(jog panel\)") as caught:
+                await ben.by_hand(["gantry.x"]).take()
+            assert caught.value.refusal.code == "leased"
+            # The gantry's axes can not be told apart: y is held too. The stage is free.
+            assert hand.axes == ["gantry.x", "gantry.y"]
+            async with ben.by_hand(["stage.u"]) as other:
+                await other.jog({"stage.u": 0.5})
+            report = await ben.wait(await ben.submit(job("[{do: move, to: {gantry.y: 5}}]")))
+            assert report.state == "failed"
+            assert "gantry.x is in use by anna (jog panel)" in report.reason
+            # What goes past the service is refused by the adapter itself.
+            with pytest.raises(Refused, match="is held by anna"):
+                await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 1)
+        moving = await anna.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        with pytest.raises(Refused, match=r"gantry\.x is in use by anna \(job 'test'\)"):
+            await ben.by_hand(["gantry.x"]).take()
+        with pytest.raises(Refused, match="is held by anna"):
+            await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 1)
+        assert (await anna.wait(moving)).state == "done"
+        with pytest.raises(Refused, match="axis x is not held by hand-ben"):
+            await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 2)
+
+    run_fleet(main)
+
+
+async def jog_anyhow(client: Tutti, controller: str, velocities: dict[str, float], holder: str, seq: int) -> None:
+    request = JogRequest(**client.fields(), holder=holder, seq=seq, velocities=velocities)
+    await client.command(controller, "jog", request, Reply)
+
+
+def test_a_request_that_was_overtaken_moves_nothing() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client, jogged = fleet.client(), Jogged(fleet, "gantry.x")
+        async with client.by_hand(["gantry.x"]) as hand:
+            await jog_anyhow(client, "gantry", {"x": 5.0}, hand.holder, 7)
+            await jog_anyhow(client, "gantry", {"x": 0.0}, hand.holder, 9)
+            with pytest.raises(Refused, match="request 8 came after request 9"):
+                await jog_anyhow(client, "gantry", {"x": 5.0}, hand.holder, 8)
+            await jogged.rest()
+            await asyncio.sleep(0.3)
+            assert not jogged.moving
+
+    run_fleet(main)
+
+
+def test_a_hand_that_vanishes_is_forgotten() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client, jogged = fleet.client("anna"), Jogged(fleet, "gantry.x")
+        hand = client.by_hand(["gantry.x"])
+        await hand.take()
+        await jogged.hold(hand, 0.3)
+        fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
+        killed_ns = fleet.clock.now_ns()
+        await jogged.rest()
+        assert jogged.end_ns - killed_ns < RESTS_NS
+        await fleet.until(lambda states: not states["gantry"].leases, limit_s=10)
+        assert fleet.clock.now_ns() - killed_ns < 6 * NS_PER_S
+        async with fleet.client("ben").by_hand(["gantry.x"]) as other:
+            await other.jog({"gantry.x": 5.0})
+
+    run_fleet(main)
+
+
+# What ends it
+
+Act = Callable[[VirtualFleet, Tutti], None]
+
+
+async def stop_all(fleet: VirtualFleet) -> None:
+    await fleet.client("carl").stop()
+
+
+async def estop(fleet: VirtualFleet) -> None:
+    await fleet.client("carl").estop()
+
+
+async def open_door(fleet: VirtualFleet) -> None:
+    fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
+
+
+async def limit(fleet: VirtualFleet) -> None:
+    fleet.within("gantry", lambda gantry: gantry.set_limit("X", "forward"))
+
+
+async def kill_host(fleet: VirtualFleet) -> None:
+    fleet.kill("host/local")
+
+
+async def hang_host(fleet: VirtualFleet) -> None:
+    fleet.freeze("host/local")
+
+
+async def kill_coordinator(fleet: VirtualFleet) -> None:
+    fleet.kill("coordinator/first")
+
+
+async def hang_coordinator(fleet: VirtualFleet) -> None:
+    fleet.freeze("coordinator/first")
+
+
+@pytest.mark.parametrize(
+    ("act", "rests_s", "code"),
+    [
+        (stop_all, 0.1, "not-jogging"),
+        (estop, 0.1, "estop-latched"),
+        (open_door, 0.25, "not-leased"),  # one poll at 10 Hz, its way to the coordinator and back
+        (limit, 0.1, "not-jogging"),
+        (kill_host, 0.5, None),
+        (hang_host, 0.5, None),
+        (kill_coordinator, 0.8, "not-leased"),
+        (hang_coordinator, 0.8, "not-leased"),
+    ],
+)
+def test_what_ends_a_jog_although_the_key_is_held(
+    act: Callable[[VirtualFleet], object], rests_s: float, code: str | None
+) -> None:
+    closed = Permit(input="gantry.door", value=False)
+    guarded = demo_fleet().model_copy(update={"permits": {"door-closed": closed}})
+
+    async def main(fleet: VirtualFleet) -> None:
+        fleet.within("gantry", lambda gantry: gantry.set_input(1, True))
+        await fleet.until(lambda states: not states["gantry"].inputs["door"])
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        jogged, client = Jogged(fleet, "gantry.x"), fleet.client("anna")
+        hand = client.by_hand(["gantry.x"])
+        await hand.take()
+        await jogged.hold(hand, 0.5)
+        began_ns = fleet.clock.now_ns()
+        await act(fleet)  # type: ignore[misc]
+        refusal = None
+        while fleet.clock.now_ns() < began_ns + 2 * NS_PER_S:
+            try:
+                await hand.renew()
+            except Refused as error:
+                refusal = error.refusal
+                if error.refusal.code == code:
+                    break
+            await asyncio.sleep(0.05)
+        assert refusal is not None
+        if code is not None:
+            assert refusal.code == code, refusal
+        await jogged.rest()
+        assert jogged.end_ns - began_ns < rests_s * NS_PER_S
+        before = jogged.position
+        await asyncio.sleep(0.5)
+        assert jogged.position == before
+        await hand.give_back()
+
+    run_fleet(main, guarded)
+
+
+def test_a_controller_that_loses_power_in_a_jog() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        jogged, client = Jogged(fleet, "stage.u"), fleet.client()
+        async with client.by_hand(["stage.u"]) as hand:
+            await jogged.hold(hand, 0.5)
+            fleet.within("stage", lambda stage: stage.set_power(False))
+            await asyncio.sleep(0.3)
+            fleet.within("stage", lambda stage: stage.set_power(True))
+            assert not jogged.moving
+            await fleet.until(
+                lambda states: (
+                    states["stage"].mode == "idle"
+                    and not any(axis.referenced for axis in states["stage"].axes.values())
+                )
+            )
+            with pytest.raises(Refused):
+                await hand.renew()
+
+    run_fleet(main)
