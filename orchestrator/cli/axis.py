@@ -21,10 +21,14 @@ def axis() -> None:
 @fleet_options
 @json_option
 def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
-    """List all axes: where they are, and what keeps them from moving."""
-    from rich.table import Table
+    """List all axes: where they are, and what keeps them from moving.
 
+    position is what jobs speak of; motor is the same without the offset of `set-position`, which soft limits refer to;
+    counts are the controller's own.
+    """
     from orchestrator.client import Tutti
+    from orchestrator.monitor.fleet_view import axis_words
+    from orchestrator.monitor.tables import plain_table
 
     async def act(tutti: Tutti) -> None:
         states = await tutti.status()
@@ -32,19 +36,13 @@ def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
         if as_json:
             print_json({name: now.to_plain() for name, (_, now) in rows.items()})
             return
-        table = Table(box=None, header_style="bold")
-        numbers = ("position", "motor position", "counts")
-        for heading in ("axis", "position", "unit", *numbers[1:], "motor", "referenced", "moving", "limit"):
-            table.add_column(heading, justify="right" if heading in numbers else "left")
+        table = plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"])
         for name, (state, now) in rows.items():
             if state.mode == "offline":
-                table.add_row(name, "-", now.unit, "", "", "offline", "", "", "")
+                table.add_row(name, "-", now.unit, "-", "-", "offline")
                 continue
-            motor, known = "on" if now.enabled else "off", "yes" if now.referenced else "no"
-            moving = "yes" if now.moving else ""
-            user, machine = f"{now.position:.4f}", f"{now.motor_position:.4f}"
-            limit = now.limit.replace("none", "")
-            table.add_row(name, user, now.unit, machine, f"{now.raw_counts:.0f}", motor, known, moving, limit)
+            user, motor = f"{now.position:,.4f}", f"{now.motor_position:,.4f}"
+            table.add_row(name, user, now.unit, motor, f"{now.raw_counts:,.0f}", axis_words(now))
         console.print(table)
 
     with_fleet(connect, fleet, act)
@@ -114,7 +112,7 @@ def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, con
     run_step(connect, fleet, step, "there")
 
 
-@axis.command("set-position", epilog="Example: tutti axis set-position gantry.x=0 stage.u=\"2.5 mm\"")
+@axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
 @click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
 @click.option("--clear", is_flag=True, help="Take the offsets of the AXES away: user positions are motor positions.")
 @fleet_options

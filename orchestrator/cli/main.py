@@ -17,15 +17,15 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "reset": ("fleet", "Release the e-stop latch and clear faults."),
     "submit": ("job", "Submit a job (same as `job submit`)."),
     "job": ("job", "Submit, list, show, cancel jobs; read reports."),
-    "axis": ("axis", "Axes by hand: list, enable, home, move."),
+    "axis": ("axis", "Axes by hand: list, enable, home, jog, move."),
     "io": ("io", "Inputs and outputs by name."),
-    "fleet": ("fleet_file", "Check a fleet file, offline and against the units."),
+    "fleet": ("fleet_file", "Check a fleet file; give it to the running fleet."),
     "raw": ("controller", "Send a line in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),
     "bench": ("bench", "Measure Tutti."),
-    "sim": ("sim", "Simulated controllers: check them against test vectors."),
+    "sim": ("sim", "Simulated controllers: check them; change their world."),
 }
 
 EPILOG = """\b

@@ -10,6 +10,7 @@ def run_step(connect: str, fleet: str | None, step: dict[str, Any], done: str) -
     """Submit a job of one step, wait for it, and say `done` or why not. Exit 1 if it is not done."""
     from pydantic import ValidationError
 
+    from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
     from orchestrator.model.job import Job
 
@@ -19,7 +20,7 @@ def run_step(connect: str, fleet: str | None, step: dict[str, Any], done: str) -
         fail(str(error.errors()[0]["msg"]), BAD_INPUT)
 
     async def act(tutti: Tutti) -> None:
-        report = await tutti.wait(await tutti.submit(job))
+        report = await follow(tutti, await tutti.submit(job), quiet=not console.is_terminal)
         if report.state != "done":
             fail(report.steps[-1].reason if report.steps else report.reason or report.state, FAILED)
         console.print(done)

@@ -6,11 +6,16 @@ import click
 
 from orchestrator.cli.codes import BAD_INPUT, FAILED
 from orchestrator.cli.common import console, fail, json_option, print_json
+from orchestrator.cli.sim_world import limit, power, push, set_input, stall
 
 
-@click.group(epilog="Example: tutti sim check smc4000 vectors.jsonl")
+@click.group(epilog="Example: tutti sim input gantry.door active")
 def sim() -> None:
-    """Simulated controllers: check them against test vectors."""
+    """Simulated controllers: check them against test vectors, and change the world around those that run."""
+
+
+for command in (set_input, limit, power, push, stall):
+    sim.add_command(command)
 
 
 @sim.command(epilog="Example: tutti sim check shrc203 shrc203.vectors.jsonl --only shrc203-001")

@@ -102,6 +102,12 @@ class LiveFleet:
             await self.close()
             raise
 
+    def tell_simulator(self, controller: str, **change: object) -> None:
+        """Change the physical world of a simulated controller, e.g. `input=(1, True)`; see `sim/link/world.py`."""
+        process = self.children[f"sim/{controller}"].process
+        assert process is not None and process.stdin is not None
+        process.stdin.write(json.dumps(change).encode() + b"\n")
+
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
         order = ["coordinator", "host", "sim", "router"]
@@ -183,6 +189,7 @@ class LiveFleet:
         command = [sys.executable, "-m", "sim.link.process", "--model", config.adapter, "--name", name, *listen]
         command += ["--options", json.dumps(simulate.options), "--timing", json.dumps(timing)]
         command += ["--oscillator", json.dumps(oscillator)]
+        command += ["--world", str(world_pipe(self.state, name))]
         if self.truth:
             command += ["--truth", str(self.state / "truth" / f"{name}.jsonl")]
         return command
@@ -275,6 +282,11 @@ class LiveFleet:
                 await process.wait()
         if child.keeper is not None:
             child.keeper.cancel()
+
+
+def world_pipe(state: Path, controller: str) -> Path:
+    """Where lines that change the physical world of a simulated controller are written to."""
+    return state / "world" / controller
 
 
 def frame(link: SerialLink) -> str:

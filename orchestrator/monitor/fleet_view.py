@@ -19,6 +19,7 @@ _MODE_STYLE = {
     "armed": "yellow",
     "committed": "yellow",
     "moving": "cyan",
+    "jogging": "cyan",
     "homing": "cyan",
     "stopping": "yellow",
     "offline": "red",
@@ -94,6 +95,8 @@ def state_table(states: dict[str, ControllerState]) -> RenderableType:
             why = f": {state.estop.reason}" if state.estop.reason else ""
             by = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
             troubles.append(Text(by, style="bold red"))
+        held = {holder for holder in state.leases.values() if holder.startswith("hand-")}
+        troubles += [Text(f"{controller}: in hand ({holder})", style="yellow") for holder in sorted(held)]
         troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
     return Group(table, *troubles)
 
@@ -101,7 +104,9 @@ def state_table(states: dict[str, ControllerState]) -> RenderableType:
 def axis_words(axis: AxisState) -> Text:
     """What an axis is, in few words: what keeps it from moving, or that nothing does."""
     words: list[tuple[str, str]] = []
-    if axis.moving:
+    if axis.homing:
+        words.append(("homing", "cyan"))
+    elif axis.moving:
         words.append(("moving", "cyan"))
     if not axis.enabled:
         words.append(("off", "yellow"))

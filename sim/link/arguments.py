@@ -72,6 +72,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--oscillator", type=_fields(OscillatorFields), default=OscillatorFields(), help="JSON object")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--truth", type=Path, help="append every motion to this file, one JSON object a line")
+    parser.add_argument("--world", type=Path, help="a named pipe to make: its lines change the physical world too")
     return parser.parse_args(arguments)
 
 

@@ -1,13 +1,15 @@
 """The process of one simulated controller: `python -m sim.link.process --model smc4000 --name gantry --listen …`.
 
 When it can be reached it prints one JSON line with its place. It ends with SIGTERM, SIGINT, or when its standard
-input is closed, so that it never outlives the one who started it. Lines on standard input change its physical world.
+input is closed, so that it never outlives the one who started it. Lines on standard input, and on the named pipe
+`--world`, change its physical world.
 """
 
 import argparse
 import asyncio
 import contextlib
 import json
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -56,6 +58,10 @@ async def _run(chosen: argparse.Namespace) -> None:
         cleanup.callback(server.close)
         if chosen.truth is not None:
             TruthLog(controller, clock, cleanup.enter_context(_opened(chosen.truth)))
+        if chosen.world is not None:
+            more = await _named_pipe(chosen.world)
+            listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, chosen.name))
+            cleanup.callback(listening.cancel)
         sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
         sys.stdout.flush()
         await _follow(lines, server, controller, chosen.name)
@@ -68,6 +74,20 @@ async def _standard_input() -> asyncio.StreamReader:
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     except (OSError, ValueError):
         raise CannotStart("standard input must be a pipe or a terminal: the simulator ends when it is closed") from None
+    return reader
+
+
+async def _named_pipe(path: Path) -> asyncio.StreamReader:
+    """Lines of whoever opens the pipe. Opened for writing too, so that it does not end with its first writer."""
+    reader = asyncio.StreamReader()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        os.mkfifo(path, 0o600)
+        opened = os.fdopen(os.open(path, os.O_RDWR | os.O_NONBLOCK), "rb", buffering=0)
+        await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), opened)
+    except OSError as error:
+        raise CannotStart(f"--world: {path}: {error.strerror}") from None
     return reader
 
 
@@ -106,7 +126,7 @@ def _opened(path: Path) -> TextIO:
 async def _follow(
     lines: asyncio.StreamReader, server: TcpServer | PtyServer, controller: SimulatedController, name: str
 ) -> None:
-    """Change the world line by line, until standard input is closed."""
+    """Change the world line by line, until there are no more."""
     while line := await lines.readline():
         try:
             change_world(controller, line.decode("utf-8", "replace"))

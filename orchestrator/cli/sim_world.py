@@ -1,0 +1,126 @@
+"""`tutti sim input|limit|power|push|stall`: what happens around simulated controllers that `tutti up --sim` runs."""
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orchestrator.cli.codes import BAD_INPUT, UNREACHABLE
+from orchestrator.cli.common import console, fail
+
+if TYPE_CHECKING:
+    from orchestrator.model.fleet import Axis, Controller, Fleet
+
+_state = click.option(
+    "--state", type=click.Path(path_type=Path), default=None, help="The folder that `tutti up` was given as --state."
+)
+_fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The fleet, if several are simulated.")
+
+
+@click.command("input", epilog="Example: tutti sim input gantry.door active")
+@click.argument("name", metavar="CONTROLLER.INPUT")
+@click.argument("to", type=click.Choice(["active", "inactive"]))
+@_fleet
+@_state
+def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None:
+    """Make a named input of a simulated controller active or inactive, whatever its polarity."""
+    folder, controllers = _running(fleet, state)
+    controller, point = _split(name, {c: each.inputs for c, each in controllers.items()}, "input")
+    wired = controllers[controller].inputs[point]
+    _tell(folder, controller, {"input": [wired.number, (to == "active") == (wired.active == "high")]})
+
+
+@click.command(epilog="Example: tutti sim limit gantry.x forward")
+@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("which", type=click.Choice(["forward", "reverse", "both", "none"]))
+@_fleet
+@_state
+def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
+    """Press the limit switches of a simulated axis, or let them go (`none`)."""
+    folder, controller, axis = _axis(name, fleet, state)
+    _tell(folder, controller, {"limit": [axis.motors[0], which]})
+
+
+@click.command(epilog="Example: tutti sim power stage off")
+@click.argument("controller")
+@click.argument("to", type=click.Choice(["on", "off"]))
+@_fleet
+@_state
+def power(controller: str, to: str, fleet: str | None, state: Path | None) -> None:
+    """Switch a simulated controller off or on."""
+    folder, controllers = _running(fleet, state)
+    if controller not in controllers:
+        fail(f"the fleet has no controller {controller}; it has: {', '.join(controllers)}", BAD_INPUT)
+    _tell(folder, controller, {"power": to == "on"})
+
+
+@click.command(epilog="Example: tutti sim push gantry.x 2.5")
+@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("distance", type=float)
+@_fleet
+@_state
+def push(name: str, distance: float, fleet: str | None, state: Path | None) -> None:
+    """Move a simulated axis whose motor is off by hand: by DISTANCE in its unit."""
+    folder, controller, axis = _axis(name, fleet, state)
+    _tell(folder, controller, {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]})
+
+
+@click.command(epilog="Example: tutti sim stall gantry.x on")
+@click.argument("name", metavar="CONTROLLER.AXIS")
+@click.argument("to", type=click.Choice(["on", "off"]))
+@_fleet
+@_state
+def stall(name: str, to: str, fleet: str | None, state: Path | None) -> None:
+    """Hold a simulated axis, so that it does not follow its command; or let it go."""
+    folder, controller, axis = _axis(name, fleet, state)
+    _tell(folder, controller, {"stall": [axis.motors[0], to == "on"]})
+
+
+def _running(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
+    """State folder and controllers of the simulated fleet that is meant."""
+    from orchestrator.cli.up import default_state
+    from orchestrator.model.files import FileError, load_fleet
+
+    if state is None:
+        base = default_state(fleet or "x").parent
+        folders = [base / fleet] if fleet else sorted(path.parent for path in base.glob("*/world"))
+        if len(folders) != 1:
+            found = ", ".join(folder.name for folder in folders)
+            text = f"several fleets have been simulated: {found}" if found else f"no fleet is simulated below {base}"
+            fail(text, UNREACHABLE, "say which with --fleet or --state, or start one: `tutti up FILE --sim`")
+        state = folders[0]
+    try:
+        loaded: Fleet = load_fleet(state / "fleet.json")
+    except FileError as error:
+        fail(str(error), UNREACHABLE, "is this the --state of a `tutti up … --sim`?")
+    return state, dict(loaded.controllers)
+
+
+def _axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path, str, Axis]":
+    folder, controllers = _running(fleet, state)
+    controller, axis = _split(name, {c: each.axes for c, each in controllers.items()}, "axis")
+    return folder, controller, controllers[controller].axes[axis]
+
+
+def _split(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
+    controller, _, rest = name.partition(".")
+    if controller not in known or rest not in known[controller]:
+        all_names = [f"{c}.{each}" for c, names in known.items() for each in names]
+        fail(f"the fleet has no {what} {name}; known: {', '.join(all_names) or 'none'}", BAD_INPUT)
+    return controller, rest
+
+
+def _tell(state: Path, controller: str, change: dict[str, Any]) -> None:
+    """Write one line to the simulator's pipe."""
+    from orchestrator.lab.live import world_pipe
+
+    path = world_pipe(state, controller)
+    try:
+        pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        fail(f"no simulator listens at {path}", UNREACHABLE, "start the fleet: `tutti up FILE --sim`")
+    with os.fdopen(pipe, "wb") as line:
+        line.write(json.dumps(change).encode() + b"\n")
+    console.print(f"{controller}: {json.dumps(change)}", highlight=False, markup=False)
