@@ -1,0 +1,57 @@
+"""Measured durations in few figures, and how much of them is this machine's own noise."""
+
+import asyncio
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+from orchestrator.clock.live import raw_ns
+
+NOISE_EVERY_S = 0.005
+
+
+class Spread(NamedTuple):
+    """`n` durations in ms. asked: what they should keep, in words; met: whether they do, where something is asked."""
+
+    n: int
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+    asked: str = ""
+    met: bool | None = None
+
+
+def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None) -> Spread:
+    """Percentiles by nearest rank, against what is asked of the 99th or of the largest."""
+    ordered = sorted(each / 1e6 for each in durations_ns)
+    p50, p99 = (ordered[math.ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
+    asked, met = "", None
+    if p99_ms is not None:
+        asked, met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
+    elif max_ms is not None:
+        asked, met = f"max < {max_ms:g} ms", ordered[-1] < max_ms
+    return Spread(len(ordered), round(p50, 2), round(p99, 2), round(ordered[-1], 2), asked, met)
+
+
+class Noise:
+    """How late this machine wakes a process that sleeps: no program on it can react more evenly than that."""
+
+    def __init__(self) -> None:
+        self._late_ns: list[int] = []
+
+    async def __aenter__(self) -> Self:
+        self._task = asyncio.get_running_loop().create_task(self._listen())
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._task.cancel()
+
+    def spread(self) -> Spread:
+        """What was heard so far."""
+        return spread(self._late_ns or [0])
+
+    async def _listen(self) -> None:
+        while True:
+            before_ns = raw_ns()
+            await asyncio.sleep(NOISE_EVERY_S)
+            self._late_ns.append(raw_ns() - before_ns - round(NOISE_EVERY_S * 1e9))
