@@ -60,7 +60,7 @@ class Condition:
                 raise CannotDo(
                     "not-enabled",
                     f"axis {name} is not enabled",
-                    f"enable it first: a step `do: enable`, or `tutti axis enable` for {name}",
+                    "enable it first: a step `do: enable`, or `tutti axis enable`",
                 )
             if name in self.braked:
                 raise CannotDo("braked", f"the brake of axis {name} is not open yet", "wait a moment")

@@ -30,7 +30,7 @@ class Permits:
         for name, permit in self._view.fleet.permits_of(axes).items():
             words = self._broken(name, permit)
             if words is not None:
-                return words
+                return f"permit {name} does not hold: {words}"
             since_ns = self._since_ns.get(name)
             held_ns = 0 if since_ns is None else self._clock.now_ns() - since_ns
             if held_ns < permit.settle:
@@ -47,8 +47,11 @@ class Permits:
 
     def broken(self, axes: Iterable[str]) -> str | None:
         """The first permit of `axes` that does not hold now, in words."""
-        permits = self._view.fleet.permits_of(axes)
-        return next((words for name, permit in permits.items() if (words := self._broken(name, permit))), None)
+        for name, permit in self._view.fleet.permits_of(axes).items():
+            words = self._broken(name, permit)
+            if words is not None:
+                return f"permit {name} is lost: {words}"
+        return None
 
     def _broken(self, name: str, permit: Permit) -> str | None:
         controller, _, point = permit.input.partition(".")
@@ -56,8 +59,9 @@ class Permits:
         known = state is not None and not self._view.silent(controller) and state.mode != "offline"
         if known and state is not None and state.inputs.get(point) == permit.value:
             return None
-        wanted = "active" if permit.value else "inactive"
-        return f"permit {name}: input {permit.input} is not {wanted}" + ("" if known else " (not heard)")
+        if not known:
+            return f"nothing is heard of input {permit.input}"
+        return f"input {permit.input} is {'inactive' if permit.value else 'active'}"
 
     def _see(self, state: ControllerState) -> None:
         lost = False
@@ -89,7 +93,7 @@ class Guard:
         """In words what was lost, also if it is back already; None while all held."""
         broken = self._permits.broken(self._axes)
         if broken is not None:
-            return f"{broken} any more"
+            return broken
         if self._permits.losses(self._axes) != self._losses:
             return "a permit was lost for a moment"
         return None

@@ -282,7 +282,7 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
         await fleet.until(lambda states: states["gantry"].inputs["door"])
         refused = (await outcome(fleet, job("[{do: move, to: {stage.u: 10}}]"))).steps[-1].refused
         assert refused is not None
-        assert (refused.code, refused.text) == ("permit", "permit door-closed: input gantry.door is not inactive")
+        assert (refused.code, refused.text) == ("permit", "permit door-closed does not hold: input gantry.door is active")
         assert (await outcome(fleet, job("[{do: move, to: {stage.focus: 100}}]"))).state == "done"
         fleet.within("gantry", lambda gantry: gantry.set_input(1, True))
         await fleet.until(lambda states: not states["gantry"].inputs["door"])
