@@ -272,6 +272,7 @@ class Commands:
         if not request.i_know:
             text = "a raw command is checked against no limit"
             raise CannotDo("raw-needs-flag", text, "add --i-know if you mean it")
+        self._parts.leases.require(request.holder, self._config.axes)
         self._condition.online()
         self._presenter.emit("raw", f"raw by {request.actor}: {request.command!r}")
         return RawReply(reply=await self._driver.raw(request.command))

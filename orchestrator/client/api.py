@@ -211,9 +211,10 @@ class Tutti:
         return info.axes[name]
 
     async def raw(self, controller: str, command: str, i_know: bool) -> str:
-        """Send a line in the controller's own language. Raises `Refused`."""
-        request = Raw(**self.fields(), command=command, i_know=i_know)
-        return (await self.command(controller, "raw", request, RawReply)).reply
+        """Send a line in the controller's own language, with all its axes in hand meanwhile. Raises `Refused`."""
+        async with self.by_hand([controller], what="raw command") as hand:
+            request = Raw(**self.fields(), holder=hand.holder, command=command, i_know=i_know)
+            return (await self.command(controller, "raw", request, RawReply)).reply
 
     async def trace(self, controller: str) -> TraceReply:
         """The last minute of bytes on a controller's link. Raises `Refused`."""

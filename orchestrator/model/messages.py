@@ -219,8 +219,9 @@ class OutputRequest(Fenced):
 
 
 class Raw(Request):
-    """A line in the make's own language. Logged; needs `i_know` because no limit is checked."""
+    """A line in the make's own language. Logged; needs the leases of all axes, and `i_know`: no limit is checked."""
 
+    holder: str
     command: str
     i_know: bool = False
 

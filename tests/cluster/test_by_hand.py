@@ -374,3 +374,20 @@ def test_a_controller_that_loses_power_in_a_jog() -> None:
                 await hand.renew()
 
     run_fleet(main)
+
+
+def test_a_raw_line_needs_a_flag_and_the_axes_in_hand() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.client("anna")
+        assert (await client.raw("gantry", "MG 6*7", i_know=True)).strip() == "42.0000"
+        with pytest.raises(Refused, match="checked against no limit"):
+            await client.raw("gantry", "MG 6*7", i_know=False)
+        moving = await client.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        with pytest.raises(Refused, match=r"in use by anna \(job 'test'\)"):
+            await client.raw("gantry", "STX", i_know=True)
+        assert (await client.wait(moving)).state == "done"
+        assert any("raw by anna: 'MG 6*7'" in line for line in fleet.lines)
+
+    run_fleet(main)
