@@ -380,7 +380,7 @@ def test_a_raw_line_needs_a_flag_and_the_axes_in_hand() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.client("anna")
-        assert (await client.raw("gantry", "MG 6*7", i_know=True)).strip() == "42.0000"
+        assert (await client.raw("gantry", "MG 6*7", i_know=True)).strip() == "0000000042.0000"
         with pytest.raises(Refused, match="checked against no limit"):
             await client.raw("gantry", "MG 6*7", i_know=False)
         moving = await client.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
