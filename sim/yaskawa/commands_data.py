@@ -71,7 +71,7 @@ def _message(text: str) -> Runner:
         if not "A" <= target <= "H":
             raise CommandError(53)
     elif text.startswith("{P"):
-        target, text = "S", text[4:].lstrip(",")
+        target, text = "2" if text[2:3] == "2" else "S", text[4:].lstrip(",")
     line_end = True
     parts: list[Part] = []
     for piece in split(text):

@@ -188,7 +188,8 @@ def _tell_inputs(text: str) -> Runner:
 
 
 @command("TC")
-def _tell_code(text: str) -> Runner:
+def tell_code(text: str) -> Runner:
+    """`TC`: why the last command was refused; told once."""
     value = integer(text) if text not in ("", "?") else None
 
     def run(c: Context) -> Outcome:

@@ -19,6 +19,8 @@ class Room:
     variables: int
     elements: int
     """Of all arrays together."""
+    zero_frees: bool = False
+    """`DM NAME[0]` frees an array (SMC-2000: L4495)."""
 
 
 class Data:
@@ -69,6 +71,9 @@ class Data:
         """`DM`: a new array of zeros; one of that name is replaced."""
         if _NAME.fullmatch(name) is None:
             raise CommandError(57)
+        if size == 0 and self.room.zero_frees and name in self.arrays:
+            del self.arrays[name]
+            return
         if size < 1:
             raise CommandError(6)
         freed = len(self.arrays.get(name, ()))

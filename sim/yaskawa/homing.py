@@ -3,6 +3,7 @@
 from math import inf
 from typing import TYPE_CHECKING
 
+from sim.yaskawa import fixed
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.profile import SPEED_UNIT, Profile, first_sample, plan_jog, plan_stop
 
@@ -82,6 +83,11 @@ class Homing:
             axis.define(at, 0)
             axis.stop_code = code
             axis.home_stage = 2
+            return
+        if axis.stage == control.figures.stepper_home_stages + 1 and abs(axis.registers["MT"]) > fixed.ONE:
+            control.note_end(axis, at)
+            axis.rest(at, axis.reference(at) - axis.gear.position(at))
+            axis.stop_code = axis.ending_code
             return
         axis.stage += 1
         if axis.stage == 4:

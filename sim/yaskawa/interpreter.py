@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
-from sim.yaskawa.statements import Statement, compile_line
+from sim.yaskawa.statements import Raw, Statement, compile_line
 from sim.yaskawa.threads import Thread
 from sim.yaskawa.trippoints import Trip, at_sample
 
@@ -164,6 +164,8 @@ class Interpreter:
             return
         if isinstance(outcome, Trip):
             self.hold(thread, outcome)
+        elif outcome is not None:
+            self.machine.ports.message(outcome if isinstance(outcome, Raw) else f"{outcome}\r\n")
         if thread.running and (thread.line == place[0]) and thread.index >= len(self.line(thread.line)):
             self._next_line(thread)
 

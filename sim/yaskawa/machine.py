@@ -176,6 +176,7 @@ class Machine:
         if self._timer is not None:
             self._timer.cancel()
         self._timer, self._timer_sample = None, inf
+        self.motion.samples_again()
 
     # Reset and power
 

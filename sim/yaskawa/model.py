@@ -33,6 +33,8 @@ class Figures:
     """Samples from a command to the encoder's reading of it, with an ideal motor."""
     slaves_by_turns: bool = False
     """A cam's slave is reported in the master's cycle, not in its own."""
+    stepper_home_stages: int = 3
+    """Stages of HM for a stepper motor."""
     stepper_fastest: int = 0
     """0: as a servo."""
     default_plane: bool = False

@@ -14,7 +14,7 @@ from sim.yaskawa.homing import Homing
 from sim.yaskawa.model import Figures
 from sim.yaskawa.profile import SPEED_UNIT, Profile, first_sample, plan_jog, plan_move, plan_stop
 from sim.yaskawa.sequence import System
-from sim.yaskawa.timebase import Timebase
+from sim.yaskawa.timebase import NEVER_NS, Timebase
 from sim.yaskawa.world import World
 
 FORWARD_CODE, REVERSE_CODE, STOP_CODE, ABORT_INPUT_CODE, ABORT_CODE, ERROR_CODE = 2, 3, 4, 6, 7, 8
@@ -450,6 +450,12 @@ class MotionControl:
                 start_ns = self.timebase.true_ns(at)
                 follower.motion = Motion(follower.name, start_ns, follower.command(at))
                 self.motions.append(follower.motion)
+
+    def samples_again(self) -> None:
+        """The sample clock has come: what was begun without one starts at its next sample."""
+        for axis in self.real:
+            if axis.motion is not None and axis.motion.start_ns == NEVER_NS:
+                axis.motion.start_ns = self.timebase.true_ns(self.timebase.sample() + 1)
 
     def _note_slowing(self, axis: Axis, at: int) -> None:
         """A stop takes effect at sample `at`."""

@@ -314,6 +314,8 @@ class Ports:
 
     def tell(self, name: str, text: str) -> None:
         """Text for one port; it is lost when the port is not open."""
+        if name == "2" and "serial2" not in self.machine.model.ports:
+            name = "S"
         port = self.serial if name == "S" else self.second if name == "2" else self.handles.get(name)
         if port is not None:
             if self.machine.mark_unsolicited:

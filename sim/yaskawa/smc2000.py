@@ -46,7 +46,7 @@ _SHARED = frozenset(
     """
     AB AC AF AI AM AP AR AS AT AV BG BL BN BP BV CB CD CE CM CR CS DA DC DE DL DM DP DT DV EB EM EO EP ER ES ET FA
     FE FI FL FV GN GR HM HX IL IT JG JP JS KD KI KP KS LC LE LI LM LS LT LV LZ MF MG MO MR MT NO OB OE OF PW QD RA RC
-    RD RE RI RL RP SB SC SH SP ST TC TD TL TM TP TR TS TV TW UL VA VD VE VF VP VR VS VT WC WT XQ ZR ZS
+    RD RE RI RL RP SB SC SH SP ST TD TL TM TP TR TS TV TW UL VA VD VE VF VP VR VS VT WC WT XQ ZR ZS
     """.split()  # noqa: SIM905
 )
 _SHARED_OPERANDS = frozenset(
@@ -87,10 +87,11 @@ MODEL = Model(
         contour_step=32762,
         lag=0,
         slaves_by_turns=True,
+        stepper_home_stages=2,
         stepper_fastest=2_000_000,
         default_plane=True,
     ),
-    room=Room(lines=1000, labels=254, variables=254, elements=8000),
+    room=Room(lines=1000, labels=254, variables=254, elements=8000, zero_frees=True),
     threads=4,
     time_bases=lambda axes: (_LEAST_PERIOD[axes], 20000, 125),
     burning=Burning({"BN": 1, "BP": 10, "BV": 2}, at_rest=frozenset(("BN", "BP"))),

@@ -3,7 +3,7 @@
 from sim.yaskawa import fixed
 from sim.yaskawa.arguments import parse_fields, split, values
 from sim.yaskawa.commands_data import array_name, listing, span
-from sim.yaskawa.commands_status import general, report
+from sim.yaskawa.commands_status import general, report, tell_code
 from sim.yaskawa.commands_system import mark_messages
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
@@ -64,6 +64,25 @@ def _position_format(text: str) -> Runner:
 def _mark_messages(text: str) -> Runner:
     """`CW ?` tells the copyright, too (L8074)."""
     return mark_messages("0" if text == "?" else text)
+
+
+@command("TC", table=SMC2000_COMMANDS)
+def _tell_code(text: str) -> Runner:
+    """`TC1{N}` leaves the end of the line to the next message, as the manual's programs have it (L12880)."""
+    told = tell_code(text.removesuffix("{N}"))
+    if not text.endswith("{N}"):
+        return told
+
+    def run(c: Context) -> Outcome:
+        written = told(Context(c.machine, None, c.port))
+        if not isinstance(written, str):
+            return None
+        if c.thread is None:
+            return Raw(written)
+        c.machine.ports.message(written)
+        return None
+
+    return run
 
 
 @command("TB", table=SMC2000_COMMANDS)

@@ -32,6 +32,8 @@ class Timebase:
         self._zero_tick = 0
         self._source: Timebase | None = None
         self._shift = 0
+        self.joined = False
+        """Whether ticks are related to those of the wire; they stay so, as the source's ticks never jump."""
         self.followers: list[tuple[Timebase, Callable[[], None]]] = []
 
     # Changes
@@ -64,6 +66,7 @@ class Timebase:
         self._base_tick = tick
         self.period_us = period_us
         self._own = self.running and period_us > 0
+        self.joined = False
         self.join()
         self._tellfollowers()
 
@@ -80,13 +83,14 @@ class Timebase:
 
     def join(self) -> None:
         """Count from the present sample on with the wire, if it is alive."""
-        if self._live is not None:
-            self._shift = self._base_tick - self._live.tick()
+        source = self._live
+        if source is not None:
+            self._shift, self.joined = self._base_tick - source.tick(), True
 
     def _tellfollowers(self) -> None:
         for follower, changed in self.followers:
             if follower.period_us < 0:
-                if self.running:
+                if not follower.joined:
                     follower.join()
                 changed()
 
