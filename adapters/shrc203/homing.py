@@ -1,6 +1,7 @@
 """Mechanical origin return with completion lines (L2739-L2800)."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo
@@ -9,6 +10,7 @@ from adapters.shrc203.replies import STATUS, STOPS, AxisStatus, limit_stopped, s
 from adapters.shrc203.status import ERRORS, MECHANICAL_RETURN, why_stopped
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 
 _LOOK_NS = 500 * NS_PER_MS
@@ -32,7 +34,7 @@ async def home(config: Controller, clock: Clock, unit: UnitState, axes: Sequence
     session, restarts = unit.session, unit.restarts
     waiting = [_search(config, unit, name) for name in axes]
     failed: dict[str, CannotDo] = {}
-    begun = False
+    begun: set[int] = set()
     session.owe(set())
     try:
         while waiting:
@@ -47,15 +49,17 @@ async def home(config: Controller, clock: Clock, unit: UnitState, axes: Sequence
                 else:
                     failed.pop(each.axis, None)
                     running.append(each)
+                    begun.add(each.motor)
             if not running:
                 break
-            begun = True
             await _come_to_rest(clock, unit, running)
             failed |= await _judged(unit, running, restarts)
             # A unit may take no second axis while one moves (it is not said whose being busy counts).
             waiting = [each for each in refused if failed[each.axis].refusal.code == "refused"]
     except BaseException:
-        # Whoever is to stop the axes does not wait for their completion lines.
+        # Nobody waits any more for those that look for it, nor for their completion lines.
+        with suppress(LinkClosed):
+            unit.brake(begun)
         session.abandon()
         raise
     session.owe_nothing()

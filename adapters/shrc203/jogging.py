@@ -7,6 +7,7 @@ way of a stop. Nothing of it gets into the prebuffers, and arming a step deletes
 """
 
 import asyncio
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import ceil, floor
 
@@ -18,6 +19,7 @@ from adapters.shrc203.status import ERRORS, why_stopped
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, SPEED_MAX, Bounds
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 
 _LOOK_NS = 5 * NS_PER_MS
@@ -105,6 +107,11 @@ class Jogging:
                 await unit.set_going(f"G:{motor}", axis, motor, wanted.stops)
             except CannotDo:
                 await unit.session.try_to_tell(f"GC:{motor}")
+                raise
+            except BaseException:
+                # Cancelled: what is loaded must not wait for somebody's G.
+                with suppress(LinkClosed):
+                    unit.session.interrupt(f"GC:{motor}")
                 raise
 
     async def _load(self, axis: str, motor: int, wanted: _Run) -> None:

@@ -10,6 +10,7 @@ FL and BL: they must be off, because an axis that looks for its reference does n
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.device import Device
@@ -18,6 +19,7 @@ from adapters.yaskawa.registers import ramp_register, speed_register
 from adapters.yaskawa.trapezoid import RAMP_STEP, SPEED_STEP
 from adapters.yaskawa.words import stop_words
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Axis
 
 METHODS = {"default": "HM", "edge": "FE", "index": "FI"}
@@ -36,9 +38,21 @@ async def home(device: Device, clock: Clock, axes: Sequence[Searched]) -> Mappin
     Raises `CannotDo` when none was begun.
     """
     since = {index: device.stops_given(index) for _, index, _ in axes}
+    begun: list[Searched] = []
+    try:
+        return await _searched(device, clock, axes, since, begun)
+    except BaseException:
+        # Nobody waits any more for those that look for it.
+        with suppress(LinkClosed):
+            device.brake(index for _, index, _ in begun)
+        raise
+
+
+async def _searched(
+    device: Device, clock: Clock, axes: Sequence[Searched], since: Mapping[int, int], begun: list[Searched]
+) -> Mapping[str, CannotDo]:
     record = await device.record()
     failed: dict[str, CannotDo] = {}
-    begun: list[Searched] = []
     for each in axes:
         name, index, axis = each
         try:

@@ -157,6 +157,20 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
     run(case)
 
 
+def test_a_cancelled_search_is_ended_by_itself() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        search = asyncio.create_task(bench.driver.home(["x", "y"]))
+        await sleep_ns(bench.clock, 80 * NS_PER_MS)
+        assert bench.unit.moving("1") and bench.unit.moving("2")
+        search.cancel()
+        await asyncio.gather(search, return_exceptions=True)
+        await sleep_ns(bench.clock, 100 * NS_PER_MS)
+        assert not bench.unit.moving("1") and not bench.unit.moving("2")
+
+    run(case)
+
+
 def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()

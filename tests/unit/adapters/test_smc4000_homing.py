@@ -130,6 +130,20 @@ def test_a_cancelled_search_is_ended_by_a_stop(after_ms: int):
     run(main, options=BOTH, seed=after_ms)
 
 
+def test_a_cancelled_search_is_ended_by_itself():
+    async def main(world: World) -> None:
+        await world.ready()
+        search = asyncio.create_task(homed(world))
+        await sleep_ns(world.clock, 150 * NS_PER_MS)
+        assert world.controller.moving("X") and world.controller.moving("Y")
+        search.cancel()
+        await asyncio.gather(search, return_exceptions=True)
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        assert not world.controller.moving("X") and not world.controller.moving("Y")
+
+    run(main, options=BOTH)
+
+
 @pytest.mark.parametrize("way", ["power", "reset"])
 def test_a_restart_in_between_is_no_success(way: str):
     async def main(world: World) -> None:
