@@ -101,6 +101,10 @@ class Profile:
         index = bisect_right(self._start, at) - 1
         return self._vel[index] + self._acc[index] * (at - self._start[index]) if index >= 0 else 0.0
 
+    def steady(self, at: float) -> bool:
+        """Whether nothing speeds up or slows down; before its start a profile is as at its start."""
+        return self.acceleration(max(at, self._start[0])) == 0.0
+
     def acceleration(self, at: float) -> float:
         index = bisect_right(self._start, at) - 1
         return self._acc[index] if index >= 0 and at < self.end else 0.0

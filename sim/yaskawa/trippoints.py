@@ -74,12 +74,11 @@ def at_speed(axes: list[Axis], systems: "list[System]") -> Trip:
     def steady(axis: Axis, now: int) -> bool:
         if not axis.moving or axis.profile is None:
             return not axis.moving
-        return axis.profile.acceleration(now) == 0.0
+        return axis.profile.steady(now)
 
     def passed(machine: "Machine", now: int) -> bool:
         return all(steady(axis, now) for axis in axes) and all(
-            not system.running or system.profile is None or system.profile.acceleration(now) == 0.0
-            for system in systems
+            not system.running or system.profile is None or system.profile.steady(now) for system in systems
         )
 
     def due(machine: "Machine", now: int) -> float:
