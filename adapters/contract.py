@@ -7,7 +7,7 @@ Everything common to all makes (the bus, polling, fencing, limits, the e-stop la
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -266,10 +266,11 @@ class Driver(ABC):
         """Switch motors. Raises `CannotDo`."""
 
     @abstractmethod
-    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
         """Find the reference of all `axes` at once by their `homing`; returns when all have come to rest.
 
-        Gives those that have not found it, with the reason. Raises `CannotDo` when none was begun, `DriverFault`.
+        found: called with each axis as soon as it has found it. Gives those that have not, with the reason. Raises
+        `CannotDo` when none was begun, `DriverFault`. A caller whose patience ends cancels the call and stops.
         """
 
     @abstractmethod

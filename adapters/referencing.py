@@ -35,42 +35,46 @@ class Referencing:
         condition.require_enabled(axes)
         condition.referenced.update(dict.fromkeys(axes, False))
         condition.homing.update(axes)
-        restarts = condition.restarts
+        restarts, homed = condition.restarts, list[str]()
+
+        def found(name: str) -> None:
+            homed.append(name)
+            condition.homing.discard(name)
+            self._emit("homed", f"axis {name} has found its reference")
+
         try:
             # An axis that does not know where it is must not be held by limits that mean nothing to it.
             await self.load_limits(axes)
             await self._refresh()
-            failed = await self._find(axes)
+            failed = await self._find(axes, found)
         finally:
             condition.homing.difference_update(axes)
         await self._refresh()
         if condition.reading is None or condition.restarts != restarts:
             raise CannotDo("restarted", "the controller was lost while homing", "home again")
-        for name in list(axes):
-            if condition.reading.axes[name].lost and name not in failed:
-                failed[name] = CannotDo("unreferenced", f"axis {name} has lost its position again", "home it again")
-        homed = [name for name in axes if name not in failed]
+        for name in [name for name in homed if condition.reading.axes[name].lost]:
+            homed.remove(name)
+            failed[name] = CannotDo("unreferenced", f"axis {name} has lost its position again", "home it again")
         condition.referenced.update(dict.fromkeys(homed, True))
         await self.load_limits(homed)
-        for name in homed:
-            self._emit("homed", f"axis {name} has found its reference")
         for error in failed.values():
             self._emit("refusal", f"home: {error}")
         return HomeReply(homed=homed, failed={name: error.refusal for name, error in failed.items()})
 
-    async def _find(self, axes: Sequence[str]) -> dict[str, CannotDo]:
-        """Axes that have not found it. Those that take longer than their `timeout_s` are stopped with the others."""
+    async def _find(self, axes: Sequence[str], found: Callable[[str], None]) -> dict[str, CannotDo]:
+        """Axes that have not found it: those that the driver names, or that still look when the time is over."""
         config = self._condition.config
         longest_s = max(config.axes[name].homing.timeout_s for name in axes)
         try:
             async with asyncio.timeout(longest_s):
-                return dict(await self._driver.home(axes))
+                return dict(await self._driver.home(axes, found))
         except TimeoutError:
+            left = [name for name in axes if name in self._condition.homing]
             await self._driver.stop(False)
             await self._come_to_rest(axes)
             text = f"no reference found within {longest_s:g} s"
             remedy = "look at the home switch, or allow more time (homing.timeout_s)"
-            return {name: CannotDo("homing-timeout", f"axis {name}: {text}", remedy) for name in axes}
+            return {name: CannotDo("homing-timeout", f"axis {name}: {text}", remedy) for name in left}
 
     async def _come_to_rest(self, axes: Sequence[str]) -> None:
         """Nobody may begin with anything else while these still slow down."""

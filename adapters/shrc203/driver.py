@@ -1,7 +1,7 @@
 """The driver of one SHRC-203."""
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from adapters.contract import (
@@ -147,8 +147,8 @@ class ShrcDriver(Driver):
         if on:
             await unit.buffers.make_harmless(unit.excited)
 
-    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
-        return await home(self._config, self._clock, self._connected(), axes)
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+        return await home(self._config, self._clock, self._connected(), axes, found)
 
     async def jog(self, axis: str, move: JogMove) -> None:
         self._connected()

@@ -1,6 +1,6 @@
 """The SMC-4000: driver, and what the fleet file may say about it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from pydantic import BaseModel, ValidationError
@@ -216,11 +216,10 @@ class SMC4000Driver(Driver):
             if record.axes[self._motors[name]].enabled != on:
                 raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
 
-    async def home(self, axes: Sequence[str]) -> Mapping[str, CannotDo]:
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
         self._jogging.forget(axes)
-        return await homing.home(
-            self._device, self._clock, [(name, self._motors[name], self._config.axes[name]) for name in axes]
-        )
+        searched = [(name, self._motors[name], self._config.axes[name]) for name in axes]
+        return await homing.home(self._device, self._clock, searched, found)
 
     async def jog(self, axis: str, move: JogMove) -> None:
         await self._jogging.jog(axis, move)

@@ -69,6 +69,7 @@ def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
         states = await virtual.client().status()
         assert states["stage"].axes["focus"].referenced
         assert not states["gantry"].axes["x"].referenced
+        assert states["gantry"].axes["y"].referenced  # it was looked for side by side with x, and found
         assert [m.axis for m in virtual.controllers["stage"].motions] == ["3"] * len(
             virtual.controllers["stage"].motions
         )

@@ -220,7 +220,7 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
 def test_homing_finds_the_origin() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.home(["x", "z"])
+        await bench.driver.home(["x", "z"], lambda _: None)
         reading = await bench.driver.poll()
         assert reading.axes["x"].commanded_counts == reading.axes["z"].commanded_counts == 0
         assert not any(axis.moving for axis in reading.axes.values())

@@ -256,10 +256,10 @@ def test_after_jogs_a_step_and_homing_work_as_ever(simulate: dict[str, Any]) -> 
             assert len(bench.unit.motions) == seen + 2
         await bench.driver.jog("x", jog(10_000.0))
         with pytest.raises(CannotDo):
-            await bench.driver.home(["x"])
+            await bench.driver.home(["x"], lambda _: None)
         await bench.driver.stop_axes(["x"])
         await rested(bench)
-        assert not await bench.driver.home(["x"])
+        assert not await bench.driver.home(["x"], lambda _: None)
         assert (await bench.driver.poll()).axes["x"].commanded_counts == 0
 
     run(case, simulate=simulate)

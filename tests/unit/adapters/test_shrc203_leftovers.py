@@ -157,7 +157,7 @@ def test_units_with_fewer_controllable_axes(names: str, fixed: int | None) -> No
             assert (await bench.driver.outcome()).state == "done"
             reading = await bench.driver.poll()
             assert {name: axis.commanded_counts for name, axis in reading.axes.items()} == targets
-        await bench.driver.home(list(names))
+        await bench.driver.home(list(names), lambda _: None)
 
     simulate = {"controllable": [int(NAMES[name]) for name in names], "fixed_decimals": fixed}
     run(case, config=controller(names), simulate=simulate)

@@ -268,7 +268,7 @@ def test_outputs_inputs_and_homing():
         reading = await world.driver.poll()
         assert reading.outputs[3] and not reading.outputs[2]
         assert not reading.inputs[2] and reading.inputs[1]
-        await world.driver.home(["x"])
+        await world.driver.home(["x"], lambda _: None)
         reading = await world.driver.poll()
         assert reading.axes["x"].commanded_counts == 0
         assert not reading.axes["x"].moving
@@ -286,7 +286,7 @@ def test_homing_methods(method: str, options: dict[str, Any]):
         await world.driver.connect()
         await world.driver.configure()
         await world.driver.enable(["x"], True)
-        await world.driver.home(["x"])
+        await world.driver.home(["x"], lambda _: None)
         assert world.controller.motions
         assert (await world.driver.poll()).axes["x"].commanded_counts == 0
 

@@ -228,10 +228,10 @@ def test_after_jogs_a_step_and_homing_work_as_ever():
             assert world.controller.position("X") == start + 5000
         await world.driver.jog("x", jog(10_000.0))
         with pytest.raises(CannotDo):
-            await world.driver.home(["x"])
+            await world.driver.home(["x"], lambda _: None)
         await world.driver.stop_axes(["x"])
         await rested(world)
-        assert not await world.driver.home(["x"])
+        assert not await world.driver.home(["x"], lambda _: None)
         assert (await world.driver.poll()).axes["x"].commanded_counts == 0
 
     run(main, options={"home_edge": {"X": 3000}, "index_every": {"X": 2000}})
