@@ -18,16 +18,16 @@ T = TypeVar("T")
 _PANEL = "from orchestrator.cli.main import main; main(prog_name='tutti')"
 
 _WORDS = {
-    "release": "key let go → slowing",
-    "killed": "panel killed → slowing",
-    "first_motion": "key pressed → moving",
-    "plain_release": "let go, only repeats → slowing",
-    "api_stop": "Hand.stop() → slowing",
+    "release": "key let go",
+    "killed": "panel killed",
+    "first_motion": "key pressed, to moving",
+    "plain_release": "let go, repeats only",
+    "api_stop": "Hand.stop()",
     "controllers": "controllers",
     "poll_ms": "read every, ms",
-    "stopped": "input → last axis slowing",
-    "first": "input → first axis slowing",
-    "noise": "this machine wakes late by",
+    "stopped": "input, to the last axis",
+    "first": "input, to the first axis",
+    "noise": "process woken late by",
 }
 
 
@@ -150,7 +150,7 @@ def _show_spreads(figures: "JogFigures | PermitFigures", as_json: bool) -> None:
     if as_json:
         print_json({name: each._asdict() if isinstance(each, Spread) else each for name, each in fields.items()})
         return
-    table = plain_table(["", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
+    table = plain_table(["to slowing down, from", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
     for name, each in fields.items():
         words = _WORDS[name]
         if not isinstance(each, Spread):

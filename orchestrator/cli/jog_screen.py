@@ -17,7 +17,7 @@ STALE_NS = 2 * NS_PER_S  # without a word of a controller that speaks several ti
 WIDE = 100  # columns from which there is room for wider gaps
 # So that columns do not wander while figures grow.
 _LEAST = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
-BESIDE = 14  # lines of the screen that are not rows of axes
+BESIDE = 13  # lines of the screen that are neither rows of axes nor troubles
 
 _LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
 _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
@@ -25,9 +25,10 @@ _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
 
 def screen(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
     """The whole panel for a terminal of this size."""
-    parts: list[RenderableType] = [_head(panel), "", _axes(panel, now_ns, columns, rows), "", _motion(panel), ""]
-    parts += _troubles(panel, now_ns) or [""]
-    return Group(*parts, "", _keys(), _release(panel.releases))
+    troubles = _troubles(panel, now_ns)
+    beside = BESIDE + sum(-(-len(text) // columns) for text in troubles)
+    axes = _axes(panel, now_ns, columns, max(1, rows - beside))
+    return Group(_head(panel), "", axes, "", _motion(panel), "", *troubles, "", _keys(), _release(panel.releases))
 
 
 def _head(panel: JogPanel) -> RenderableType:
@@ -41,7 +42,7 @@ def _head(panel: JogPanel) -> RenderableType:
     return grid
 
 
-def _axes(panel: JogPanel, now_ns: int, columns: int, rows: int) -> Table:
+def _axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table:
     """One row an axis; as many as there is room for, around the chosen one."""
     gap = 2 if columns >= WIDE else 1
     table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, gap, 0, 0), expand=True)
@@ -50,7 +51,6 @@ def _axes(panel: JogPanel, now_ns: int, columns: int, rows: int) -> Table:
         table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True, min_width=least)
     table.add_column("held by", ratio=1, no_wrap=True, overflow="ellipsis")
     names = list(panel.axes)
-    room = max(1, rows - BESIDE)
     first = max(0, min(panel.chosen - room // 2, len(names) - room))
     for name in names[first : first + room]:
         chosen = name == panel.axis
@@ -100,7 +100,7 @@ def _motion(panel: JogPanel) -> RenderableType:
     """What a key means now, and what it does."""
     axis, now = panel.axes[panel.axis], panel.now(panel.axis)
     most = panel.jog_speed(panel.axis)
-    why = "" if now is None or now.referenced else ", slow because it is unreferenced"
+    why = "" if now is None or now.referenced else ", slow: unreferenced"
     unit = axis.unit
     doing = "at rest"
     if panel.direction:
@@ -125,9 +125,9 @@ def _motion(panel: JogPanel) -> RenderableType:
     )
 
 
-def _troubles(panel: JogPanel, now_ns: int) -> list[RenderableType]:
+def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
     """What keeps axes from moving, and what was refused last."""
-    lines: list[RenderableType] = []
+    lines: list[Text] = []
     for controller in dict.fromkeys(name.partition(".")[0] for name in panel.axes):
         state = panel.states.get(controller)
         if state is None:
