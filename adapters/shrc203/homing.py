@@ -1,12 +1,12 @@
 """Mechanical origin return with completion lines (L2739-L2800)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.replies import STATUS, STOPS, AxisStatus, limit_stopped, status, triples
+from adapters.shrc203.replies import STATUS, STOPS, limit_stopped, status, triples
 from adapters.shrc203.status import ERRORS, MECHANICAL_RETURN, why_stopped
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, Clock
@@ -26,20 +26,22 @@ class _Search:
     stops: int
 
 
-async def home(config: Controller, clock: Clock, unit: UnitState, axes: Sequence[str]) -> Mapping[str, CannotDo]:
-    """Return `axes` to their origins, each for itself; the coordinate is 0 there. Gives those that have not got there.
+async def home(
+    config: Controller, clock: Clock, unit: UnitState, axes: Sequence[str], found: Callable[[str], None]
+) -> Mapping[str, CannotDo]:
+    """Return `axes` to their origins, each for itself; the coordinate is 0 there. Says at once which is there.
 
-    Raises `CannotDo` when none was begun.
+    Gives those that have not got there. Raises `CannotDo` when none was begun.
     """
     session, restarts = unit.session, unit.restarts
     waiting = [_search(config, unit, name) for name in axes]
     failed: dict[str, CannotDo] = {}
-    begun: set[int] = set()
+    begun = False
+    running: list[_Search] = []
     session.owe(set())
     try:
         while waiting:
             refused: list[_Search] = []
-            running: list[_Search] = []
             for each in waiting:
                 try:
                     await _begin(unit, each)
@@ -49,17 +51,23 @@ async def home(config: Controller, clock: Clock, unit: UnitState, axes: Sequence
                 else:
                     failed.pop(each.axis, None)
                     running.append(each)
-                    begun.add(each.motor)
             if not running:
                 break
-            await _come_to_rest(clock, unit, running)
-            failed |= await _judged(unit, running, restarts)
+            begun = True
+            while running:
+                await session.wait_changed(clock.now_ns() + _LOOK_NS)
+                for each, error in await _ended(unit, running, restarts):
+                    running.remove(each)
+                    if error is None:
+                        found(each.axis)
+                    else:
+                        failed[each.axis] = error
             # A unit may take no second axis while one moves (it is not said whose being busy counts).
             waiting = [each for each in refused if failed[each.axis].refusal.code == "refused"]
     except BaseException:
         # Nobody waits any more for those that look for it, nor for their completion lines.
         with suppress(LinkClosed):
-            unit.brake(begun)
+            unit.brake(each.motor for each in running)
         session.abandon()
         raise
     session.owe_nothing()
@@ -90,22 +98,18 @@ async def _begin(unit: UnitState, search: _Search) -> None:
         raise
 
 
-async def _come_to_rest(clock: Clock, unit: UnitState, running: Sequence[_Search]) -> None:
-    while True:
-        await unit.session.wait_changed(clock.now_ns() + _LOOK_NS)
-        now = await _look(unit)
-        if not any(now[each.motor].busy or now[each.motor].word & MECHANICAL_RETURN for each in running):
-            return
-
-
-async def _judged(unit: UnitState, running: Sequence[_Search], restarts: int) -> dict[str, CannotDo]:
-    """Those of `running`, now at rest, that are not at their origin by all that the unit says."""
-    now = await _look(unit)
-    limited = limit_stopped(await unit.session.ask("SRQ:", STOPS))
+async def _ended(unit: UnitState, running: Sequence[_Search], restarts: int) -> list[tuple[_Search, CannotDo | None]]:
+    """Those of `running` that have come to rest, with what has become of them by all that the unit says."""
+    session = unit.session
+    now = status(await session.ask("Q:SPC", STATUS), unit.controllable)
+    ended = [each for each in running if not (now[each.motor].busy or now[each.motor].word & MECHANICAL_RETURN)]
+    if not ended:
+        return []
+    limited = limit_stopped(await session.ask("SRQ:", STOPS))
     query, expected = unit.sentinel
-    restarted = await unit.session.ask(query, triples(1)) != expected or unit.restarts != restarts
-    failed: dict[str, CannotDo] = {}
-    for each in running:
+    restarted = await session.ask(query, triples(1)) != expected or unit.restarts != restarts
+    judged: list[tuple[_Search, CannotDo | None]] = []
+    for each in ended:
         axis, why = now[each.motor], ""
         if restarted:
             why = "the unit was restarted"
@@ -116,12 +120,6 @@ async def _judged(unit: UnitState, running: Sequence[_Search], restarts: int) ->
             why = why_stopped(each.axis, axis) or "it was stopped by a limit sensor"
         elif axis.counts != 0:
             why = f"it stands at {axis.counts}, not at the origin"
-        if why:
-            failed[each.axis] = CannotDo(
-                "homing-failed", f"axis {each.axis} has not found its origin: {why}", "look at its sensors"
-            )
-    return failed
-
-
-async def _look(unit: UnitState) -> Mapping[int, AxisStatus]:
-    return status(await unit.session.ask("Q:SPC", STATUS), unit.controllable)
+        text = f"axis {each.axis} has not found its origin: {why}"
+        judged.append((each, CannotDo("homing-failed", text, "look at its sensors") if why else None))
+    return judged

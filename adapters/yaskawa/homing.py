@@ -9,7 +9,7 @@ side; only FI goes in the direction of the fleet file. A limit switch on the way
 FL and BL: they must be off, because an axis that looks for its reference does not know where it is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 from adapters.contract import CannotDo
@@ -32,25 +32,40 @@ Searched = tuple[str, int, Axis]
 """Name, index and configuration of an axis."""
 
 
-async def home(device: Device, clock: Clock, axes: Sequence[Searched]) -> Mapping[str, CannotDo]:
-    """Home `axes` at the same time, each for itself; gives those that have not succeeded, and why.
+async def home(
+    device: Device, clock: Clock, axes: Sequence[Searched], found: Callable[[str], None]
+) -> Mapping[str, CannotDo]:
+    """Home `axes` at the same time, each for itself. Says at once which has succeeded; gives the others, and why.
 
     Raises `CannotDo` when none was begun.
     """
     since = {index: device.stops_given(index) for _, index, _ in axes}
-    begun: list[Searched] = []
+    searching: list[Searched] = []
     try:
-        return await _searched(device, clock, axes, since, begun)
+        failed = await _begin(device, axes, since, searching)
+        while searching:
+            record = await device.record()
+            for each in [each for each in searching if not record.axes[each[1]].moving]:
+                searching.remove(each)
+                error = await _judged(device, each, record.axes[each[1]])
+                if error is None:
+                    found(each[0])
+                else:
+                    failed[each[0]] = error
+            if searching:
+                await sleep_ns(clock, LOOK_NS)
     except BaseException:
         # Nobody waits any more for those that look for it.
         with suppress(LinkClosed):
-            device.brake(index for _, index, _ in begun)
+            device.brake(index for _, index, _ in searching)
         raise
+    return failed
 
 
-async def _searched(
-    device: Device, clock: Clock, axes: Sequence[Searched], since: Mapping[int, int], begun: list[Searched]
-) -> Mapping[str, CannotDo]:
+async def _begin(
+    device: Device, axes: Sequence[Searched], since: Mapping[int, int], begun: list[Searched]
+) -> dict[str, CannotDo]:
+    """Set going what can be; gives the others. Raises `CannotDo` when that is all of them."""
     record = await device.record()
     failed: dict[str, CannotDo] = {}
     for each in axes:
@@ -66,21 +81,19 @@ async def _searched(
     if axes and not begun:
         first = next(iter(failed.values())).refusal
         raise CannotDo(first.code, "; ".join(str(error) for error in failed.values()), first.remedy)
-    while True:
-        record = await device.record()
-        if not any(record.axes[index].moving for _, index, _ in begun):
-            break
-        await sleep_ns(clock, LOOK_NS)
-    for name, index, axis in begun:
-        command, number = METHODS[axis.homing.method], record.axes[index].stop_code
-        if number not in FOUND[command]:
-            stop = stop_words(number)
-            failed[name] = CannotDo(
-                "homing-failed", f"axis {name}: homing {stop.text}", stop.remedy or "look at its switches"
-            )
-        elif command == "FE":
-            await device.session.tell(f"DP{AXIS_LETTERS[index]}=0")
     return failed
+
+
+async def _judged(device: Device, searched: Searched, now: AxisRecord) -> CannotDo | None:
+    """What has become of an axis that has come to rest; None: it has found its reference, and is 0 there."""
+    name, index, axis = searched
+    command = METHODS[axis.homing.method]
+    if now.stop_code not in FOUND[command]:
+        stop = stop_words(now.stop_code)
+        return CannotDo("homing-failed", f"axis {name}: homing {stop.text}", stop.remedy or "look at its switches")
+    if command == "FE":
+        await device.session.tell(f"DP{AXIS_LETTERS[index]}=0")
+    return None
 
 
 def _require_ready(name: str, now: AxisRecord) -> None:

@@ -1,6 +1,7 @@
 """An SHRC-203 that looks for its origins, and stages that were moved while their motors were off."""
 
 import asyncio
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -21,12 +22,20 @@ def mixed(*methods: str) -> Any:
     return fleet.model_copy(update={"axes": axes})
 
 
+async def homed(bench: Bench, *axes: str) -> Mapping[str, CannotDo]:
+    """Home, and see that what is said to be found and what has failed are all."""
+    found: list[str] = []
+    failed = await bench.driver.home(axes, found.append)
+    assert sorted([*found, *failed]) == sorted(axes)
+    return failed
+
+
 @pytest.mark.parametrize("simulate", [{}, {"busy_anywhere": True}, {"completion_after_stop": False}])
 def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Polling(bench.clock, bench.driver.poll):
-            assert not await bench.driver.home(["x", "y", "z"])
+            assert not await homed(bench, "x", "y", "z")
         reading = await bench.driver.poll()
         assert all(axis.commanded_counts == 0 and not axis.moving for axis in reading.axes.values())
         starts = sorted(motion.start_ns for motion in bench.unit.motions)
@@ -43,14 +52,27 @@ def test_the_rest_is_done_though_one_fails() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.enable(["y"], False)
-        failed = await bench.driver.home(["x", "y", "z"])
+        failed = await homed(bench, "x", "y", "z")
         assert {axis: error.refusal.code for axis, error in failed.items()} == {"y": "not-enabled"}
         assert {motion.axis for motion in bench.unit.motions} == {"1", "3"}
         with pytest.raises(CannotDo, match="axis y is not enabled"):
-            await bench.driver.home(["y"])
+            await homed(bench, "y")
         assert not bench.unit.moving("2")
 
     run(case)
+
+
+def test_each_axis_is_told_as_soon_as_it_is_there() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        told_ns: dict[str, int] = {}
+        await bench.driver.home(["x", "y"], lambda axis: told_ns.update({axis: bench.clock.now_ns()}))
+        for motion in bench.unit.motions:
+            assert motion.end_ns is not None
+            assert 0 < told_ns["xyz"[int(motion.axis) - 1]] - motion.end_ns < 100 * NS_PER_MS
+        assert told_ns["y"] - told_ns["x"] > 300 * NS_PER_MS
+
+    run(case, simulate={"origin_pls": {"1": -1000, "2": -9000}})
 
 
 def test_an_error_that_stands_is_named() -> None:
@@ -59,7 +81,7 @@ def test_an_error_that_stands_is_named() -> None:
         await bench.driver.stop(True)
         await bench.driver.poll()
         with pytest.raises(CannotDo):
-            await bench.driver.home(["x"])
+            await homed(bench, "x")
         assert not bench.moved()
 
     run(case, simulate={"emergency_excitation_off": False})
@@ -71,7 +93,7 @@ def test_an_origin_that_never_comes_ends_on_the_limit_sensor(coordinate: int) ->
         await bench.ready()
         # Where the sensor stops it, the coordinate happens to be 0.
         await bench.driver.raw(f"PSET:1+P{coordinate}")
-        failed = await bench.driver.home(["x", "z"])
+        failed = await homed(bench, "x", "z")
         assert set(failed) == {"x"}
         assert "limit" in str(failed["x"])
         reading = await bench.driver.poll()
@@ -88,7 +110,7 @@ def test_the_origin_is_found_from_either_side_and_from_where_it_is(origin: int) 
     async def case(bench: Bench) -> None:
         await bench.ready()
         for _ in range(2):
-            assert not await bench.driver.home(["x"])
+            assert not await homed(bench, "x")
             assert (await bench.driver.poll()).axes["x"].commanded_counts == 0
 
     run(case, simulate={"origin_pls": {"1": origin}})
@@ -100,7 +122,7 @@ def test_the_origin_is_found_from_either_side_and_from_where_it_is(origin: int) 
 def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool, speaks: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        search = asyncio.create_task(bench.driver.home(["x"]))
+        search = asyncio.create_task(homed(bench, "x"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         await (bench.driver.stop(False) if whole else bench.driver.stop_axes(["x"]))
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
@@ -108,7 +130,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool,
         assert not bench.unit.moving("1")
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
         assert not bench.unit.moving("1")
-        assert not await bench.driver.home(["x"])
+        assert not await homed(bench, "x")
 
     run(case, seed=after_ms, simulate={"completion_after_stop": speaks})
 
@@ -119,7 +141,7 @@ def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: in
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_input(2, True)
-        search = asyncio.create_task(bench.driver.home(["x", "y"]))
+        search = asyncio.create_task(homed(bench, "x", "y"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         search.cancel()
         await asyncio.gather(search, return_exceptions=True)
@@ -132,7 +154,7 @@ def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: in
         reading = await bench.driver.poll()
         assert reading.inputs[2]
         await bench.driver.set_output(1, True)
-        assert not await bench.driver.home(["x", "y"])
+        assert not await homed(bench, "x", "y")
 
     fleet = controller(inputs={"door": {"number": 2}}, outputs={"lamp": {"number": 1}})
     run(case, config=fleet, seed=after_ms, simulate={"completion_after_stop": speaks})
@@ -143,7 +165,7 @@ def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: in
 def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        search = asyncio.create_task(bench.driver.home(["x"]))
+        search = asyncio.create_task(homed(bench, "x"))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         bench.unit.set_power(False)
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
@@ -160,7 +182,7 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
 def test_a_cancelled_search_is_ended_by_itself() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        search = asyncio.create_task(bench.driver.home(["x", "y"]))
+        search = asyncio.create_task(homed(bench, "x", "y"))
         await sleep_ns(bench.clock, 80 * NS_PER_MS)
         assert bench.unit.moving("1") and bench.unit.moving("2")
         search.cancel()
@@ -182,7 +204,7 @@ def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
         assert reading.axes["x"].commanded_counts == 0
         await bench.driver.enable(["x"], True)
         assert not (await bench.driver.poll()).axes["x"].lost
-        await bench.driver.home(["x"])
+        await homed(bench, "x")
         assert bench.unit.motions[0].end_counts == -1700  # the origin is as much farther away
 
     run(case)

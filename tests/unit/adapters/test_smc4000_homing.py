@@ -15,7 +15,11 @@ BOTH = {"home_edge": {"X": 3000, "Y": 5000}, "index_every": {"X": 2000, "Y": 200
 
 
 async def homed(world: World, *axes: str) -> Mapping[str, CannotDo]:
-    return await world.driver.home(axes or ("x", "y"))
+    """Home, and see that what is said to be found and what has failed are all."""
+    found: list[str] = []
+    failed = await world.driver.home(axes or ("x", "y"), found.append)
+    assert sorted([*found, *failed]) == sorted(axes or ("x", "y"))
+    return failed
 
 
 def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
@@ -30,6 +34,19 @@ def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
             await homed(world, "x")
 
     run(main, options=BOTH)
+
+
+def test_each_axis_is_told_as_soon_as_it_is_there():
+    async def main(world: World) -> None:
+        await world.ready()
+        told_ns: dict[str, int] = {}
+        await world.driver.home(["x", "y"], lambda axis: told_ns.update({axis: world.clock.now_ns()}))
+        for motion in world.controller.motions:
+            assert motion.end_ns is not None
+            assert 0 < told_ns[motion.axis.lower()] - motion.end_ns < 60 * NS_PER_MS
+        assert abs(told_ns["y"] - told_ns["x"]) > 100 * NS_PER_MS
+
+    run(main, options={"home_edge": {"X": 300, "Y": 9000}, "index_every": {"X": 2000, "Y": 2000}})
 
 
 @pytest.mark.parametrize("edge", [-4000, -1, 0, 1, 4000])
@@ -101,7 +118,7 @@ def test_limits_that_are_not_held_are_a_fault():
 def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool):
     async def main(world: World) -> None:
         await world.ready()
-        search = asyncio.create_task(world.driver.home(["x"]))
+        search = asyncio.create_task(homed(world, "x"))
         await sleep_ns(world.clock, after_ms * NS_PER_MS)
         await (world.driver.stop(False) if whole else world.driver.stop_axes(["x"]))
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
@@ -148,7 +165,7 @@ def test_a_cancelled_search_is_ended_by_itself():
 def test_a_restart_in_between_is_no_success(way: str):
     async def main(world: World) -> None:
         await world.ready()
-        search = asyncio.create_task(world.driver.home(["x"]))
+        search = asyncio.create_task(homed(world, "x"))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         if way == "power":
             world.controller.set_power(False)
