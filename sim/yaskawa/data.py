@@ -20,7 +20,7 @@ class Room:
     elements: int
     """Of all arrays together."""
     zero_frees: bool = False
-    """`DM NAME[0]` frees an array (SMC-2000: L4495)."""
+    """`DM NAME[0]` frees an array (SMC-2000: L4500)."""
 
 
 class Data:

@@ -54,7 +54,7 @@ class OperatorEntry:
             self.code = STRING
 
     def read(self, item: str) -> int:
-        """A keyword's value; reading a string or number that is there sets the code back (SMC-2000: L4836)."""
+        """A keyword's value; reading a string or number that is there sets the code back (SMC-2000: L4844)."""
         if item == "CD":
             return fixed.whole(self.code)
         if (item, self.code) in (("ST", STRING), ("NM", NUMBER)):

@@ -107,7 +107,7 @@ class Machine:
         if self.model.figures.default_plane and len(self.letters) > 1:
             self.motion.systems["S"].select(("X", "Y"), linear=False)
         self.gear_master = ""
-        """The one master of all axes (SMC-2000: L9013)."""
+        """The one master of all axes (SMC-2000: L9015)."""
         self.motion.cam.master_cycle = 0 if self.options.own_modulus else None
         self.last_encoder = 0
         """Number of the axis whose absolute encoder was read last."""

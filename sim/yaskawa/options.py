@@ -1,6 +1,7 @@
 """How a simulated controller is built. Every open point of the manuals that hardware may decide otherwise is a switch.
 
-`D…` are the decisions of section 16 in `docs/controllers/smc4000.md` (`smc2000.md` for the SMC-2000).
+`D…` are the decisions of section 16 in `docs/controllers/smc4000.md`; those of `Smc2000Options` stand in section 10 of
+`docs/controllers/smc2000.md`.
 """
 
 from collections.abc import Mapping

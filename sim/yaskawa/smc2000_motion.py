@@ -69,7 +69,7 @@ enter_place("AD", _after_distance, _NO_POSITION, SMC2000_COMMANDS)
 
 @command("MC", table=SMC2000_COMMANDS)
 def _motion_complete(text: str) -> Runner:
-    """Takes S for the axes of the sequence (L10286)."""
+    """Takes S for the axes of the sequence (L10277)."""
     names = parse_axes(text, LETTERS + "S")
 
     def run(c: Context) -> Outcome:
@@ -117,14 +117,14 @@ def _configure(text: str) -> Runner:
 
 @command("TN", table=SMC2000_COMMANDS)
 def _tangent(text: str) -> Runner:
-    """`TN ?` tells where the tangent axis begins, as `_TN` does (L12034)."""
+    """`TN ?` tells where the tangent axis begins, as `_TN` does (L12030)."""
     if text == "?":
         return lambda c: c.machine.show("TN", c.machine.model.operand("_TN")(c))
     return tangent(text)
 
 
 tell("TE", error, table=SMC2000_COMMANDS, asked=False)  # L11850
-tell("TT", volts, Format(1, 4), table=SMC2000_COMMANDS, asked=False)  # L12180
+tell("TT", volts, Format(1, 4), table=SMC2000_COMMANDS, asked=False)  # L12179
 tell("TY", lambda c, axis: axis.absolute, Format(10, 0), table=SMC2000_COMMANDS)  # L12250
 
 

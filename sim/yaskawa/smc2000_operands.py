@@ -29,7 +29,7 @@ of_machine("VM", lambda c: c.machine.motion.systems["S"].free(c.machine.now()), 
 
 @operand("ES", table=SMC2000_OPERANDS)
 def _ellipse(suffix: str) -> Evaluator:
-    """The ratio, 0.0001 to 1 (L1609)."""
+    """The ratio, 0.0001 to 1 (L1630)."""
     if suffix:
         raise CommandError(58)
 
@@ -41,7 +41,7 @@ def _ellipse(suffix: str) -> Evaluator:
 
 
 def _return_line(c: Context) -> int:
-    """`_LS`: the line after the present subroutine, 0 outside (L1640)."""
+    """`_LS`: the line after the present subroutine, 0 outside (L1651)."""
     thread = c.thread or c.machine.interpreter.threads[0]
     return thread.stack[-1].line if thread.stack else 0
 
@@ -51,7 +51,7 @@ of_machine("LS", _return_line, table=SMC2000_OPERANDS)
 
 @operand("QY", table=SMC2000_OPERANDS)
 def _encoder_text(suffix: str) -> Evaluator:
-    """The string of QY (L1682)."""
+    """The string of QY (L1684)."""
     if suffix:
         raise CommandError(58)
     return lambda c: fixed.of_string(f"P{c.machine.motion.real[c.machine.last_encoder].turns:+05d}"[:6])

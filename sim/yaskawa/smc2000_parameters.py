@@ -20,7 +20,7 @@ SMC2000: dict[str, Parameter] = {op: SMC4000[op] for op in _SAME} | {
     "IL": parameter(-9.9988, 9.9988, 9.9988, FINE, "1.4"),  # L9320
     "KD": parameter(0, 4095.875, 64, 0.125, "4.2"),  # L9690
     "KP": parameter(0, 1023.875, 6, 0.125, "4.2"),  # L9763
-    "MT": parameter(-2.5, 2.5, 1, 0.5, "1.1", moving=False),  # L10536
+    "MT": parameter(-2.5, 2.5, 1, 0.5, "1.1", moving=False),  # L10537
     "OF": parameter(-9.9988, 9.9988, 0, FINE, "1.4"),  # L10666
     "TL": parameter(0, 9.9988, 9.9988, FINE, "1.4"),  # L11976
     "AE": parameter(-100000, 100000, 0, asked=False, moving=False),  # L6970

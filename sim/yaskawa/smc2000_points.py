@@ -73,7 +73,7 @@ def _read_inputs(suffix: str) -> Evaluator:
 
 @command("II", where="program", table=SMC2000_COMMANDS)
 def _input_interrupt(text: str) -> Runner:
-    """First and last input, or a mask of the eight; negative ones interrupt when high, firmware 19K and up (L9263)."""
+    """First and last input, or a mask of the eight; negative ones interrupt when high, firmware 19K and up (L9266)."""
     fields = values(parse_fields(text, 3))
 
     def run(c: Context) -> Outcome:

@@ -68,7 +68,7 @@ def _mark_messages(text: str) -> Runner:
 
 @command("TC", table=SMC2000_COMMANDS)
 def _tell_code(text: str) -> Runner:
-    """`TC1{N}` leaves the end of the line to the next message, as the manual's programs have it (L12880)."""
+    """`TC1{N}` leaves the end of the line to the next message, as the manual's programs have it (L13229)."""
     told = tell_code(text.removesuffix("{N}"))
     if not text.endswith("{N}"):
         return told

@@ -61,7 +61,7 @@ def _communication_interrupt(text: str) -> Runner:
 
 @command("EN", where="program", table=SMC2000_COMMANDS)
 def _end(text: str) -> Runner:
-    """`EN m,n`: m restores the interrupted trip-point, n allows the next #COMINT (L8514)."""
+    """`EN m,n`: m restores the interrupted trip-point, n allows the next #COMINT (L8525)."""
     fields = values(parse_fields(text, 2)) if text else None
 
     def run(c: Context) -> Outcome:

@@ -68,7 +68,7 @@ EXAMPLES = [
         {"reply": ":", "steps": [REST, _told("RPXY", 0, 0), _told("SCX", 101)]},
     ),
     Example(
-        "L3388-L3399",
+        "L3387-L3393",
         """#AUTO
         SH
         PR 10000,20000;BG XY
@@ -111,7 +111,7 @@ EXAMPLES = [
         send="XQ #TASK2,0\r",
     ),
     Example(
-        "L3795-L3812",
+        "L3803-L3809",
         """#SETBIT
         SP 10000
         PA 20000
@@ -122,7 +122,7 @@ EXAMPLES = [
         {"reply": ":", "steps": [{"wait_s": 0.1}, _told("MG @OUT[1]", 1)], "rest_position": {"X": 20000}},
     ),
     Example(
-        "L3853-L3861",
+        "L3854-L3860",
         """#ATSPEED
         JG 50000
         AC 10000
@@ -133,7 +133,7 @@ EXAMPLES = [
         {"steps": [{"wait_s": 5.0}, _told("MG @OUT[1]", 0), {"wait_s": 0.8}, _told("MG @OUT[1]", 1)]},
     ),
     Example(
-        "L3863-L3880",
+        "L3873-L3880",
         """#VECTOR
         VMXY;VS 5000
         VP 10000,20000
@@ -146,7 +146,7 @@ EXAMPLES = [
         {"reply": ":", "rest_position": {"X": 20000, "Y": 30000}, "duration_s": 32.484, "tolerance_s": 0.01},
     ),
     Example(
-        "L4042-L4073",
+        "L4052-L4067",
         """#M
         CB1
         VP 1000,1000;LE;BGS;AMS
@@ -168,7 +168,7 @@ EXAMPLES = [
         },
     ),
     Example(
-        "L4163-L4187",
+        "L4171-L4183",
         """#A
         II 1
         JG 30000,,,60000
@@ -221,7 +221,7 @@ EXAMPLES = [
         },
     ),
     Example(
-        "L4541-L4560",
+        "L4544-L4553",
         """#A
         COUNT=0;DM POS[10]
         #LOOP
@@ -239,7 +239,7 @@ EXAMPLES = [
         given={"position": {"X": 100}},
     ),
     Example(
-        "L4625-L4662",
+        "L4629-L4645",
         """#RECORD
         DM XPOS[300],YPOS[300]
         DM XERR[300],YERR[300]
@@ -258,7 +258,7 @@ EXAMPLES = [
         },
     ),
     Example(
-        "L4740-L4755",
+        "L4741-L4747",
         """#DISPLAY
         PR 1000
         BGX
@@ -269,7 +269,7 @@ EXAMPLES = [
         {"reply": ":0000001000.0000\r\n", "reply_like": "numeric"},
     ),
     Example(
-        "L4779-L4797",
+        "L4781-L4795",
         """#BEGIN
         AC 800000
         DC 800000
@@ -299,7 +299,7 @@ EXAMPLES = [
         given={"inputs": {"1": False}},
     ),
     Example(
-        "L5110-L5118",
+        "L5114-L5118",
         """#S;JG 4000
         AI 1;BGX
         AI -1;STX
@@ -316,7 +316,7 @@ EXAMPLES = [
         },
     ),
     Example(
-        "L5188-L5202",
+        "L5194-L5203",
         """#POINTS
         SP 7000
         AC 80000;DC 80000
@@ -331,7 +331,7 @@ EXAMPLES = [
         given={"analog": {"1": 5.0}},
     ),
     Example(
-        "L5242-L5270",
+        "L5269-L5279",
         """#A
         AI1
         PR 6370
@@ -358,7 +358,7 @@ EXAMPLES = [
         given={"inputs": {"1": False}},
     ),
     Example(
-        "L5330-L5380",
+        "L5336-L5375",
         """#A
         VM XY
         VP 160000,160000
@@ -387,7 +387,7 @@ EXAMPLES = [
         {"reply": ":", "rest_position": {"X": 138400, "Y": 160000, "Z": 0}},
     ),
     Example(
-        "L5395-L5410",
+        "L5426-L5434",
         """#A
         JG0
         BGX
@@ -401,7 +401,7 @@ EXAMPLES = [
         given={"analog": {"1": 2.5}},
     ),
     Example(
-        "L7250-L7266",
+        "L7265-L7274",
         """#TEST
         DP0
         JG 1000
@@ -414,7 +414,7 @@ EXAMPLES = [
         {"reply": ":Position is 0000002000.0000\r\n", "reply_like": "numeric", "quiet_s": 3.0},
     ),
     Example(
-        "L12866-L12895",
+        "L12896-L12912",
         """#ABSOLUT
         XHmOfs=2344
         AEX=4096
