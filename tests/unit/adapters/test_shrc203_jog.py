@@ -5,8 +5,8 @@ from random import Random
 from typing import Any
 
 import pytest
-from unit.adapters.test_shrc203_driver import Bench, controller, run
-from unit.adapters.watching import Polling, Watch, at_rest
+from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
+from unit.adapters.watching import Hand, Polling, Watch, at_rest
 
 from adapters.contract import CannotDo, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -376,35 +376,36 @@ def test_a_noisy_line_never_sends_an_axis_past_its_end(seed: int) -> None:
     run(case, seed=seed)
 
 
-@pytest.mark.parametrize("seed", range(160))
+def hands(bench: Bench, names: str, seed: int) -> list[Hand]:
+    return [
+        Hand(bench.clock, bench.driver, bench.unit, name, NAMES[name], Random(f"{seed}{name}"), RAMP, STOP_NS)
+        for name in names
+    ]
+
+
+@pytest.mark.parametrize("seed", range(150))
 def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
     async def case(bench: Bench) -> None:
-        draw = Random(seed)
         await bench.ready()
-        low, high, top = -draw.randrange(300, 30_000), draw.randrange(300, 30_000), 0.0
+        (hand,) = hands(bench, "x", seed)
         watch = Watch(bench.clock, bench.unit, "1", 2 * NS_PER_MS)
         async with watch as tracks, Polling(bench.clock, bench.driver.poll):
-            for _ in range(15):
-                if draw.random() < 0.7:
-                    sign = draw.choice((1, -1))
-                    speed = draw.choice((draw.uniform(10, 500), draw.uniform(500, 60_000)))
-                    asked = JogMove(sign * speed, draw.choice((RAMP, RAMP / 2)), high if sign > 0 else low)
-                    top = max(top, speed)
-                    try:
-                        await bench.driver.jog("x", asked)
-                    except CannotDo as refused:
-                        assert refused.refusal.code == "at-end"
-                        assert bench.unit.position("1") in (low, high)
-                else:
-                    await bench.driver.stop_axes(["x"])
-                    if draw.random() < 0.5:
-                        await at_rest(bench.clock, bench.unit, "1", round(top / RAMP * 2 * NS_PER_S) + STOP_NS)
-                await sleep_ns(bench.clock, draw.choice((0, 3, 30, 300)) * NS_PER_MS)
-            await bench.driver.stop_axes(["x"])
-            await at_rest(bench.clock, bench.unit, "1", NS_PER_S)
-        assert tracks["1"].between(low, high)
-        assert tracks["1"].fastest <= top
-        reading = (await bench.driver.poll()).axes["x"]
-        assert reading.commanded_counts == bench.unit.position("1") and not reading.moving
+            await hand.play(15)
+        await hand.check(tracks["1"])
 
     run(case, seed=seed, simulate=KNOBS[seed % len(KNOBS)], timing=Timing(1_000_000, seed % 3 * 1_000_000))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_three_hands_and_somebody_who_stops_all(seed: int) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        all_three = hands(bench, "xyz", seed)
+        watch = Watch(bench.clock, bench.unit, "123", 2 * NS_PER_MS)
+        stops = Polling(bench.clock, lambda: bench.driver.stop(False), 0.5 + seed % 2)
+        async with watch as tracks, stops, Polling(bench.clock, bench.driver.poll):
+            await asyncio.gather(*(hand.play(12, alone=False) for hand in all_three))
+        for hand in all_three:
+            await hand.check(tracks[hand.motor])
+
+    run(case, seed=seed, simulate=KNOBS[seed % len(KNOBS)])

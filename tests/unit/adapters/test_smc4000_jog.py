@@ -3,10 +3,11 @@
 import asyncio
 from itertools import pairwise
 from random import Random
+from typing import Any
 
 import pytest
 from unit.adapters.test_smc4000_bench import World, run, trapezoid
-from unit.adapters.watching import Polling, Watch, at_rest
+from unit.adapters.watching import Hand, Polling, Watch, at_rest
 
 from adapters.contract import CannotDo, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -316,37 +317,39 @@ def test_a_cancelled_begin_stops_by_itself():
     run(main)
 
 
-@pytest.mark.parametrize("seed", range(0, 240))
+KNOBS: list[dict[str, Any]] = [{}, {"qr_axis_bytes": 28, "question_crlf": True}, {"sign_column": False}, {"axes": 2}]
+
+
+def hands(world: World, names: str, seed: int) -> list[Hand]:
+    return [
+        Hand(world.clock, world.driver, world.controller, name, name.upper(), Random(f"{seed}{name}"), RAMP, STOP_NS)
+        for name in names
+    ]
+
+
+@pytest.mark.parametrize("seed", range(200))
 def test_random_hands_never_pass_the_end_nor_the_speed(seed: int):
     async def main(world: World) -> None:
-        draw = Random(seed)
         await world.ready(3)
-        low, high, top = -draw.randrange(300, 30_000), draw.randrange(300, 30_000), 0.0
-        asked: JogMove | None = None
+        (hand,) = hands(world, "x", seed)
         watch = Watch(world.clock, world.controller, "X", 2 * NS_PER_MS)
         async with watch as tracks, Polling(world.clock, world.driver.poll):
-            for _ in range(25):
-                if draw.random() < 0.7:
-                    sign = draw.choice((1, -1))
-                    speed = draw.choice((draw.uniform(10, 500), draw.uniform(500, 60_000)))
-                    asked = JogMove(sign * speed, draw.choice((RAMP, RAMP / 2)), high if sign > 0 else low)
-                    top = max(top, speed)
-                    try:
-                        await world.driver.jog("x", asked)
-                    except CannotDo as refused:
-                        assert refused.refusal.code == "at-end"
-                        assert world.controller.position("X") in (low, high)
-                else:
-                    slow_ns = round(top / (RAMP / 2) * NS_PER_S) + 10 * NS_PER_MS
-                    await world.driver.stop_axes(["x"])
-                    if draw.random() < 0.5:
-                        await at_rest(world.clock, world.controller, "X", slow_ns)
-                await sleep_ns(world.clock, draw.choice((0, 3, 30, 300)) * NS_PER_MS)
-            await world.driver.stop_axes(["x"])
-            await at_rest(world.clock, world.controller, "X", NS_PER_S)
-        assert tracks["X"].between(low, high)
-        assert tracks["X"].fastest <= top * EXACT
-        reading = (await world.driver.poll()).axes["x"]
-        assert reading.commanded_counts == world.controller.position("X") and not reading.moving
+            await hand.play(25)
+        await hand.check(tracks["X"])
+
+    run(main, seed=seed, ppm=Random(seed).uniform(-95, 95), options=KNOBS[seed % len(KNOBS)])
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_two_hands_and_somebody_who_stops_all(seed: int):
+    async def main(world: World) -> None:
+        await world.ready(3)
+        both = hands(world, "xy", seed)
+        watch = Watch(world.clock, world.controller, "XY", 2 * NS_PER_MS)
+        stops = Polling(world.clock, lambda: world.driver.stop(False), 1.0 + seed % 3)
+        async with watch as tracks, stops, Polling(world.clock, world.driver.poll):
+            await asyncio.gather(*(hand.play(20, alone=False) for hand in both))
+        for hand in both:
+            await hand.check(tracks[hand.motor])
 
     run(main, seed=seed, ppm=Random(seed).uniform(-95, 95))

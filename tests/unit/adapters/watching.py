@@ -4,9 +4,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from random import Random
 
-from adapters.contract import CannotDo, DriverFault
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from adapters.contract import CannotDo, Driver, DriverFault, JogMove
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from sim.core.controller import SimulatedController
 
@@ -62,7 +63,7 @@ class Watch:
 
 
 class Polling:
-    """`async with Polling(...)`: polls at a rate beside whatever is done."""
+    """`async with Polling(...)`: polls, or does something else, at a rate beside whatever is done."""
 
     def __init__(self, clock: Clock, poll: Callable[[], Awaitable[object]], hz: float = 10.0) -> None:
         self._clock = clock
@@ -90,6 +91,63 @@ async def at_rest(clock: Clock, controller: SimulatedController, axis: str, with
         assert clock.now_ns() - began_ns <= within_ns, f"{axis} still moves after {within_ns / 1e9} s"
         await sleep_ns(clock, NS_PER_MS // 4)
     return clock.now_ns() - began_ns
+
+
+@dataclass
+class Hand:
+    """Somebody at the keys of one axis, at random. axis, motor: its names in the fleet and in the make.
+
+    low, high: the ends of its way. ramp: counts/s². link_ns: from a stop's bytes to the first slower moment.
+    """
+
+    clock: Clock
+    driver: Driver
+    controller: SimulatedController
+    axis: str
+    motor: str
+    draw: Random
+    ramp: float
+    link_ns: int
+    top: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.low, self.high = -self.draw.randrange(300, 30_000), self.draw.randrange(300, 30_000)
+
+    async def play(self, rounds: int, alone: bool = True) -> None:
+        """Press, change, let go; then let go for good. alone: nobody else stops this axis."""
+        for _ in range(rounds):
+            if self.draw.random() < 0.7:
+                await self._press(alone)
+            else:
+                await self._let_go(self.draw.random() < 0.5)
+            await sleep_ns(self.clock, self.draw.choice((0, 3, 30, 300)) * NS_PER_MS)
+        await self._let_go(True)
+
+    async def _press(self, alone: bool) -> None:
+        draw, sign = self.draw, self.draw.choice((1, -1))
+        speed = draw.choice((draw.uniform(10, 500), draw.uniform(500, 60_000)))
+        self.top = max(self.top, speed)
+        ramp = draw.choice((self.ramp, self.ramp / 2))
+        try:
+            await self.driver.jog(self.axis, JogMove(sign * speed, ramp, self.high if sign > 0 else self.low))
+        except CannotDo as refused:
+            if refused.refusal.code == "at-end":
+                assert self.controller.position(self.motor) in (self.low, self.high)
+            else:
+                assert refused.refusal.code == "stopped" and not alone
+
+    async def _let_go(self, wait: bool) -> None:
+        await self.driver.stop_axes([self.axis])
+        if wait:
+            slow_ns = round(self.top / (self.ramp / 2) * NS_PER_S) + self.link_ns
+            await at_rest(self.clock, self.controller, self.motor, slow_ns)
+
+    async def check(self, track: Track) -> None:
+        """By the truth: never beyond the ends, never faster than asked, at rest, and where the controller says."""
+        assert track.between(self.low, self.high)
+        assert track.fastest <= self.top * (1 + 1e-9)
+        reading = (await self.driver.poll()).axes[self.axis]
+        assert reading.commanded_counts == self.controller.position(self.motor) and not reading.moving
 
 
 def not_found(outcome: Mapping[str, CannotDo] | BaseException, axis: str) -> str:
