@@ -140,7 +140,11 @@ def _cam_enable(text: str) -> Runner:
 def modularise(motion: "MotionControl", cycle: int) -> None:
     """The master axis is reported within its cycle (0: no more); an auxiliary encoder is not."""
     master = motion.axes.get(motion.cam.master or "")
-    if master is not None:
+    if master is None:
+        return
+    if motion.figures.cycles_by_turns:
+        master.turned = (lambda: cycle * motion.turns()) if cycle else None
+    else:
         master.modulus = cycle
 
 

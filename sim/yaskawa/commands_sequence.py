@@ -130,6 +130,8 @@ def _linear_segment(text: str) -> Runner:
             raise CommandError(50)
         start = system.tail()
         end = tuple(a + steps.get(name, 0) for a, name in zip(start, system.axes, strict=True))
+        if start == end and c.machine.options.zero_segments:
+            return None
         entry, leave = _speeds(c, speeds)
         system.add(line(start, end, (1.0,) * len(start), entry, leave), c.machine.timebase.next_sample())
         return None
@@ -168,6 +170,8 @@ def _vector_point(text: str) -> Runner:
             start[index] if raw is None else fixed.truncated(raw) * scale[index]
             for index, raw in enumerate([*given, None][:2])
         )
+        if start == end and c.machine.options.zero_segments:
+            return None
         entry, leave = _speeds(c, speeds)
         segment = line(start, end, scale, entry, leave)
         if segment.length > 8_000_000:

@@ -31,8 +31,8 @@ class Figures:
     contour_step: int = 32767
     lag: int = 1
     """Samples from a command to the encoder's reading of it, with an ideal motor."""
-    slaves_by_turns: bool = False
-    """A cam's slave is reported in the master's cycle, not in its own."""
+    cycles_by_turns: bool = False
+    """A cam's axes are reported by the master's turns from EP's start on, not each modulo its own cycle."""
     stepper_home_stages: int = 3
     """Stages of HM for a stepper motor."""
     stepper_fastest: int = 0
@@ -84,6 +84,8 @@ class Model:
     second_port: type[Port] = Port
     handles: str = ""
     by_line: bool = True
+    spaced_names: bool = True
+    """Blanks inside a name are overlooked."""
     comments: tuple[str, ...] = ("NO ",)
     comment_end: str = ""
     designators: bool = False

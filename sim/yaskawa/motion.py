@@ -407,6 +407,10 @@ class MotionControl:
             return axis.command(at)
         return axis.frozen if axis.frozen is not None else axis.command(at - axis.lag)
 
+    def turns(self) -> int:
+        """Whole cycles of the cam's master up to now."""
+        return self.cam.turns(self.cam_master(self.timebase.sample()))
+
     def engage(self, slave: Axis, at: int) -> None:
         """The slave follows the table from `at` on."""
         from sim.yaskawa.cam import CamPath
@@ -415,8 +419,8 @@ class MotionControl:
         slave.path, slave.profile = CamPath(self.cam, slave.name, self.cam_master), None
         slave.mode = "cam"
         cycle = self.cam.cycles.get(slave.name, 0)
-        if self.figures.slaves_by_turns:
-            slave.turned = lambda: cycle * self.cam.turns(self.cam_master(self.timebase.sample()))
+        if self.figures.cycles_by_turns:
+            slave.turned = lambda: cycle * self.turns()
         else:
             slave.modulus = cycle
         self.cam.followers.add(slave.name)

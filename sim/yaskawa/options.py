@@ -41,6 +41,8 @@ class Options(BaseModel):
     """D35: `ST` without letters from a port halts all threads."""
     av_absolute: bool = False
     """D74: AV counts from the start of the sequence."""
+    zero_segments: bool = False
+    """A segment without length is taken and left out; otherwise refused with 30 (SMC-2000: D25)."""
     burn_takes_time: bool = False
     """D56: BN, BP and BV take their documented times before they answer."""
 

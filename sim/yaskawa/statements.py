@@ -22,6 +22,7 @@ Outcome = str | Trip | None
 Runner = Callable[["Context"], Outcome]
 
 _ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9]*)(\[[^=]*\])?=(?!=)(.*)")
+_SPACED_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*\s+[A-Za-z0-9]")
 _LOCAL = re.compile(r"\{([FS$N^])([-0-9.]*)\}")
 
 
@@ -115,6 +116,8 @@ def compile_statement(text: str, model: "Model") -> Statement:
     op = compact[:2]
     try:
         if not _is_spaced_command(text, model) and is_assignment(compact, model):
+            if not model.spaced_names and _SPACED_NAME.match(text):
+                raise CommandError(1)
             return Statement("=", text, _assignment(compact))
         if compact.startswith("~") and model.designators:
             return Statement("~", text, _variable_axis(compact))
