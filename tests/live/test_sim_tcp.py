@@ -84,6 +84,21 @@ def test_the_truth_is_written_down_in_host_time(children: Children) -> None:
     assert end["end_counts"] - end["start_counts"] == pytest.approx(2000, abs=1)
 
 
+def test_the_instant_at_which_a_stop_took_effect_is_written_down(children: Children) -> None:
+    truth = children.folder / "truth.jsonl"
+    _, place = children.simulator("smc4000", "tcp:127.0.0.1:0", "--truth", str(truth))
+    with client(place) as line:
+        for command in (b"SHX\r", b"JGX=20000\r", b"BGX\r"):
+            ask(line, command)
+        wait_until(lambda: truth.read_text() != "", "the motion's start")
+        before_ns = raw_ns()
+        ask(line, b"STX\r")
+        wait_until(lambda: truth.read_text().count("\n") == 3, "the motion's start, slowing and end")
+    start, slowing, end = [json.loads(text) for text in truth.read_text().splitlines()]
+    assert (start["event"], slowing["event"], end["event"]) == ("start", "slowing", "end")
+    assert before_ns < slowing["slowing_ns"] < end["end_ns"] < raw_ns()
+
+
 def test_power_off_drops_connections_and_power_on_takes_new_ones(children: Children) -> None:
     process, place = children.simulator("smc4000", "tcp:127.0.0.1:0")
     with client(place) as line:
@@ -111,6 +126,8 @@ def test_the_world_is_changed_by_lines_and_a_wrong_one_does_no_harm(children: Ch
         tell(process, nonsense=1)
         tell(process, input=[1, number(before) == 0])
         wait_until(lambda: ask(line, b"MG @IN[1]\r") != before, "the input's other level")
+        tell(process, push=["X", 500])
+        wait_until(lambda: b"500" in ask(line, b"TPX\r"), "the pushed axis")
 
 
 def test_it_ends_with_its_standard_input(children: Children) -> None:
