@@ -6,13 +6,14 @@ raises `interruptions`, and whoever finds it raised after a wait unloads what it
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
 from adapters.contract import CannotDo, Driver, DriverFault, Span
 from adapters.mapping import clock_mapping
+from adapters.settling import Settled
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
@@ -55,7 +56,8 @@ class Emit(Protocol):
 class Member:
     """One controller as a member of steps.
 
-    check raises `CannotDo` when the profiles must not be executed now; refresh reads and publishes the state.
+    check raises `CannotDo` when the profiles must not be executed now; settle waits for axes to come to rest at their
+    targets, with a fresh state on the bus when it returns.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class Member:
         check: Callable[[Propose | Arm], None],
         scale: Callable[[], FleetScale],
         emit: Emit,
-        refresh: Callable[[], Coroutine[Any, Any, None]],
+        settle: Callable[[Sequence[str]], Awaitable[Settled]],
         spawn: Callable[[Coroutine[Any, Any, None]], object],
     ) -> None:
         self._controller = controller
@@ -75,7 +77,7 @@ class Member:
         self._check = check
         self._scale = scale
         self._emit = emit
-        self._refresh = refresh
+        self._settle = settle
         self._spawn = spawn
         self._turn = asyncio.Lock()
         self._interruptions = 0
@@ -251,10 +253,10 @@ class Member:
             self._emit("started", "started", moving, evidence)
             outcome = await self._driver.outcome()
             # Who hears of the end plans the next step from the state: it must be that after the move.
-            await self._refresh()
+            settled = await self._settle(ticket.axes if outcome.state == "done" else ())
             if self.ticket is not moving:
                 return
-        except (DriverFault, LinkClosed) as error:
+        except (DriverFault, LinkClosed, CannotDo) as error:
             if self.ticket is not None and self.ticket.t0_fleet_ns == ticket.t0_fleet_ns:
                 self.lost(str(error))
                 if isinstance(error, DriverFault):
@@ -263,9 +265,13 @@ class Member:
         self.ticket = None
         for axis, span in outcome.ended.items():
             if axis in evidence:
-                evidence[axis] = AxisEvidence(start=evidence[axis].start, end=_interval(span, ticket.scale))
-        kind = _KIND_OF_END[outcome.state]
-        self._emit(kind, outcome.reason or kind, moving, evidence)
+                evidence[axis] = AxisEvidence(
+                    start=evidence[axis].start,
+                    end=_interval(span, ticket.scale),
+                    settled_s=settled.settled_s.get(axis),
+                )
+        kind = "failed" if settled.reason else _KIND_OF_END[outcome.state]
+        self._emit(kind, settled.reason or outcome.reason or kind, moving, evidence)
 
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}

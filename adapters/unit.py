@@ -21,6 +21,7 @@ from adapters.motors import Motors
 from adapters.presenter import Presenter
 from adapters.referencing import Referencing
 from adapters.seat import Seat
+from adapters.settling import Settling
 from adapters.store import Remembered, Store
 from orchestrator.bus.base import Declared
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
@@ -48,6 +49,7 @@ class Unit:
         self._condition = Condition(seat.config)
         driver, condition = seat.driver, self._condition
         self._leases = Leases(seat.config, seat.clock, lambda: driver.capabilities.independent_axes, self._lease_ended)
+        self._settling = Settling(seat.clock, condition, self.refresh)
         self._member = Member(
             seat.controller,
             seat.driver,
@@ -55,7 +57,7 @@ class Unit:
             self._check,
             self._require_scale,
             self._emit_step,
-            self.refresh,
+            self._settling.wait,
             self._spawn,
         )
         self._presenter = Presenter(
@@ -217,13 +219,16 @@ class Unit:
             if before is not None and before.inputs.get(point.number) != level:
                 active = level == (point.active == "high")
                 self._presenter.emit("input", f"input {name} is {'active' if active else 'inactive'}")
-        codes = {fault.code for fault in condition.faults}
-        for fault in reading.faults:
-            if fault.code not in codes:
+        faults = [*reading.faults, *self._settling.faults(reading)]
+        known = {(fault.code, fault.axis) for fault in condition.faults}
+        for fault in faults:
+            if (fault.code, fault.axis) not in known:
                 self._presenter.emit("fault", fault.text, fault=fault)
-        if condition.faults and not reading.faults:
+        if condition.faults and not faults:
             self._presenter.emit("cleared", "no fault any more")
-        condition.faults = list(reading.faults)
+        condition.faults = faults
+        if faults and condition.jogging:
+            self._spawn(self._jogging.stop(sorted(condition.jogging), faults[0].text))
         trouble = self._trouble_in_motion(before, reading)
         if trouble is not None:
             self._spawn(self._member.fail(trouble))
@@ -233,8 +238,8 @@ class Unit:
         ticket = self._member.ticket
         if ticket is None or ticket.phase is not Phase.MOVING or before is None:
             return None
-        if reading.faults:
-            return reading.faults[0].text
+        if self._condition.faults:
+            return self._condition.faults[0].text
         for name in ticket.axes:
             now, old = reading.axes[name], before.axes[name]
             if now.lost and not old.lost:

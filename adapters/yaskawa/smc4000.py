@@ -84,7 +84,7 @@ class SMC4000Driver(Driver):
         self._clock = setup.clock
         self._motors = motor_indices(setup.config)
         self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1)
-        self._start = Start(self._device, setup.clock, options, setup.config)
+        self._start = Start(self._device, setup.clock, options)
         self._jogging = Jogging(self._device, setup.clock, self._motors)
         self._steppers: set[str] = set()
         # The level of the limit bits at rest: it depends on how the switches are configured (L10906-10939).

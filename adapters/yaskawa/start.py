@@ -8,11 +8,10 @@ from adapters.yaskawa.device import OWN_THREAD, Device
 from adapters.yaskawa.lowering import AxisMove, LoweredMoves, begin_ticks, move_commands
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import GATE_SEEN_TICKS, GATE_TICKS, entry
-from adapters.yaskawa.record import AXIS_LETTERS, Record
+from adapters.yaskawa.record import Record
 from adapters.yaskawa.words import stop_words
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import Controller
 
 TICKS_MAX = 2_147_483_647  # L10613
 STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
@@ -35,11 +34,10 @@ class _Loaded:
 class Start:
     """The one move that the resident program can hold."""
 
-    def __init__(self, device: Device, clock: Clock, options: Options, config: Controller) -> None:
+    def __init__(self, device: Device, clock: Clock, options: Options) -> None:
         self._device = device
         self._clock = clock
         self._options = options
-        self._config = config
         self._loaded: _Loaded | None = None
 
     # Before T0
@@ -220,11 +218,6 @@ class Start:
         states = {state for state, _ in reasons.values()}
         if states == {"done"}:
             await self._refine(loaded, ended)
-            for move in moves:
-                if self._config.axes[move.axis].done == "in_position":
-                    reason = await self._wait_in_position(move)
-                    if reason:
-                        return Outcome("fault", ended, reason)
             return Outcome("done", ended)
         text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")
         return Outcome("fault" if "fault" in states else "stopped", ended, text)
@@ -266,18 +259,3 @@ class Start:
                 max(seen.earliest_ns, not_before_ns),
                 min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)),
             )
-
-    async def _wait_in_position(self, move: AxisMove) -> str:
-        axis = self._config.axes[move.axis]
-        window = (axis.in_position_window or 0.0) * float(axis.scale)
-        until_ns = self._clock.now_ns() + round(axis.in_position_timeout_s * 1e9)
-        while True:
-            off = (await self._device.record()).axes[move.index].actual - move.end
-            if abs(off) <= window:
-                return ""
-            if self._clock.now_ns() > until_ns:
-                letter = AXIS_LETTERS[move.index]
-                return (
-                    f"axis {move.axis} ({letter}) is {off} counts off its target after {axis.in_position_timeout_s:g} s"
-                )
-            await sleep_ns(self._clock, SETTLE_NS)

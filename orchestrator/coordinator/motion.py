@@ -317,7 +317,9 @@ class Motion:
         waiting_start = set(moving.proposals)
         waiting_end = set(moving.proposals)
         longest_s = max(max(proposal.durations_s.values()) for proposal in moving.proposals.values())
-        ends_ns = moving.t0_fleet_ns + round(longest_s * NS_PER_S)
+        settling = [self._view.fleet.axis(axis) for axis in moving.plan.profiles]
+        settle_s = max((axis.in_position_timeout_s for axis in settling if axis.done == "in_position"), default=0.0)
+        ends_ns = moving.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
         reports = {member: self._member_report(moving, member) for member in moving.proposals}
         failure: tuple[str, str] | None = None
         while waiting_end and failure is None:

@@ -113,10 +113,14 @@ class Interval(Model):
 
 
 class AxisEvidence(Model):
-    """When an axis really started and ended, by its controller's own evidence."""
+    """When an axis really started and ended, by its controller's own evidence.
+
+    settled_s: from the end of the profile until it was seen in its window, for axes with `done: in_position`.
+    """
 
     start: Interval
     end: Interval | None = None
+    settled_s: float | None = None
 
 
 class Event(Model):

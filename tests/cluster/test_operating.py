@@ -382,3 +382,61 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
         assert (await outcome(fleet, PREPARE, TEN_S)).state == "done"
 
     run_fleet(main)
+
+
+# Following and settling
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
+    """With the unit's own supervision (ER, which switches the motor off), and by the adapter's polls alone."""
+    fleet = changed(demo_fleet(), gantry={"axes": {"x": {"following_error": 1.5}}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        client = virtual.client()
+        if not native:
+            await client.raw("gantry", "ER 32767;OE 0", i_know=True)
+        moving = await client.submit(TEN_S)
+        await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await asyncio.sleep(1.0)
+        virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
+        stalled_ns = virtual.clock.now_ns()
+        report = await client.wait(moving)
+        assert report.state == "failed"
+        assert "axis x" in report.reason
+        await asyncio.sleep(1.0)
+        ends = [m.end_ns for each in virtual.controllers.values() for m in each.motions[-1:]]
+        assert all(end is not None and end - stalled_ns < 600_000_000 for end in ends)
+        if not native:
+            fault = (await client.status())["gantry"].faults[0]
+            assert (fault.code, fault.axis) == ("following-error", "x")
+            assert "1.5 are allowed" in fault.text
+            virtual.within("gantry", lambda gantry: gantry.set_stalled("X", False))
+            again = job("[{do: disable, axes: [gantry]}, {do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 9}}]")
+            assert (await outcome(virtual, again)).state == "done"
+
+    run_fleet(main, fleet)
+
+
+def test_an_axis_is_there_only_when_it_has_settled() -> None:
+    window = {"done": "in_position", "in_position_window": 0.01, "in_position_timeout_s": 6}
+    fleet = changed(demo_fleet(), gantry={"axes": {"x": window}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        client = virtual.client()
+        report = await outcome(virtual, PREPARE, job("[{do: move, to: {gantry.x: 5, gantry.y: 5}}]"))
+        assert report.state == "done"
+        evidence = report.steps[-1].members["gantry"].evidence
+        assert evidence["x"].settled_s is not None
+        assert evidence["x"].settled_s < 0.1
+        assert evidence["y"].settled_s is None
+        moving = await client.submit(job("[{do: move, to: {gantry.x: 6}}]"))
+        await virtual.until(lambda states: states["gantry"].mode == "moving")
+        virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
+        report = await client.wait(moving)
+        assert report.state == "failed"
+        assert "off its target after 6" in report.reason
+        assert "its window is 0.01" in report.reason
+
+    run_fleet(main, fleet)
