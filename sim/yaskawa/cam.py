@@ -19,8 +19,8 @@ class Cam:
     start: int = 0
     cycles: dict[str, int] = field(default_factory=dict[str, int])
     table: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
-    waiting: dict[str, tuple[str, int]] = field(default_factory=dict[str, tuple[str, int]])
-    """For each slave that waits: what for (`EG` or `EQ`), and the master position."""
+    waiting: dict[tuple[str, str], int] = field(default_factory=dict[tuple[str, str], int])
+    """For each slave that waits and what for (`EG`, `EQ`): the master position."""
     followers: set[str] = field(default_factory=set[str])
 
     @property

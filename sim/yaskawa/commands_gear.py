@@ -222,7 +222,7 @@ def _cam_table(text: str) -> Runner:
 def engagement(op: str) -> Callable[[str], Runner]:
     """The compiler of EG or EQ."""
 
-    def compileengagement(text: str) -> Runner:
+    def compile_engagement(text: str) -> Runner:
         if not text:
             raise CommandError(50)
         form = parse_form(text)
@@ -252,10 +252,12 @@ def engagement(op: str) -> Callable[[str], Runner]:
                     if op == "EG" and axis.motor_off:
                         raise CommandError(20)
                     if cam.start <= place < cam.start + cam.cycle:
-                        cam.waiting[axis.name] = (op, place)
+                        if not motion.figures.cycles_by_turns:
+                            cam.waiting.pop((axis.name, "EQ" if op == "EG" else "EG"), None)
+                        cam.waiting[axis.name, op] = place
                         here = motion.cam_master(at)
                         if (here - place) % cam.cycle == 0:
-                            del cam.waiting[axis.name]
+                            del cam.waiting[axis.name, op]
                             (motion.engage if op == "EG" else motion.disengage)(axis, at)
                     elif op == "EG":
                         motion.engage(axis, at)
@@ -265,13 +267,13 @@ def engagement(op: str) -> Callable[[str], Runner]:
 
         return run
 
-    return compileengagement
+    return compile_engagement
 
 
 def waiting(c: Context, name: str) -> int:
-    """`_EQx`: 1 waiting to engage, 2 waiting to disengage, 0 otherwise."""
-    wait = c.machine.motion.cam.waiting.get(name)
-    return 0 if wait is None else 1 if wait[0] == "EG" else 2
+    """`_EQx`: 1 waiting to engage, 2 waiting to disengage, 3 both (SMC-2000: L8634), 0 otherwise."""
+    waits = c.machine.motion.cam.waiting
+    return ((name, "EG") in waits) + 2 * ((name, "EQ") in waits)
 
 
 command("EG")(engagement("EG"))

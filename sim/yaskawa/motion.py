@@ -348,11 +348,14 @@ class MotionControl:
                 if limit and abs(axis.error(now)) > limit:
                     self.off_on_error(axis, now)
                     changed = True
-        for name, (what, place) in list(self.cam.waiting.items()):
+        waiting = dict(self.cam.waiting)
+        for (name, what), place in waiting.items():
+            if what == "EQ" and (name, "EG") in waiting:
+                continue
             before, here = (self.cam_master(now - 1) - place, self.cam_master(now) - place)
             cycle = self.cam.cycle or inf
             if before // cycle != here // cycle or here == 0 or (cycle == inf and (before < 0) != (here < 0)):
-                del self.cam.waiting[name]
+                del self.cam.waiting[name, what]
                 changed = True
                 if what == "EG":
                     self.engage(self.axes[name], now)

@@ -462,3 +462,16 @@ def test_no_input_brings_it_down() -> None:
     desk.unit.set_power(True)
     desk.line = desk.open("serial")
     assert desk.number("1") == 1
+
+
+def test_a_cam_slave_may_wait_for_both_ends_at_once() -> None:
+    desk = Desk(axes=2)
+    desk.ask("EAX", "EM 2000,1000", "EP 1000,0", "ET[0]=,0", "ET[1]=,500", "ET[2]=,1000", "EB1", "PA ,500", "BGY")
+    desk.rest()
+    desk.ask("JG 1000", "BGX", "EG ,1000", "EQ ,1000")
+    assert desk.number("_EQY") == 3
+    desk.wait(1.5)
+    assert (desk.number("_EQY"), desk.number("_EGY")) == (2, 1)
+    desk.wait(2.0)
+    assert (desk.number("_EQY"), desk.number("_EGY")) == (0, 0)
+    assert desk.unit.position("Y") == pytest.approx(500, abs=2)
