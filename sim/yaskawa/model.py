@@ -29,6 +29,8 @@ class Figures:
     home_speed: int
     cam_points: int
     contour_step: int = 32767
+    contour_stops_at_record: bool = False
+    """ST lets the executing record end and leaves the contour mode there; otherwise it decelerates at once."""
     lag: int = 1
     """Samples from a command to the encoder's reading of it, with an ideal motor."""
     cycles_by_turns: bool = False

@@ -7,7 +7,7 @@ from sim.core.controller import LimitSwitch, Motion
 from sim.yaskawa import fixed
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.cam import Cam
-from sim.yaskawa.contour import Contour
+from sim.yaskawa.contour import Contour, Record
 from sim.yaskawa.coordinated import Coordinated
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.homing import Homing
@@ -198,6 +198,11 @@ class MotionControl:
             self.plan(axis, at)
 
     def _stop_contour(self, at: int, code: int) -> None:
+        if self.contour is not None and code == STOP_CODE and self.figures.contour_stops_at_record:
+            self.contour.waiting = Record((0,) * len(self.contour.axes), 0)
+            if not self.contour.executing:
+                self.leave_contour(at)
+            return
         contour, self.contour = self.contour, None
         if contour is None:
             return

@@ -85,6 +85,7 @@ MODEL = Model(
         home_speed=256,
         cam_points=257,
         contour_step=32762,
+        contour_stops_at_record=True,
         lag=0,
         cycles_by_turns=True,
         stepper_home_stages=2,

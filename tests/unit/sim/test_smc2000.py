@@ -415,6 +415,16 @@ def test_a_source_that_is_off_stops_the_others_and_one_that_changes_its_rate_cha
 # Whole
 
 
+def test_a_stop_lets_the_contours_record_end() -> None:
+    desk = Desk()
+    desk.ask("CM X", "DT 8", "CD 1000", "CD 500")
+    desk.wait(0.1)
+    desk.ask("STX")
+    desk.rest()
+    assert desk.unit.position("X") == 1000
+    assert (desk.number("_SCX"), desk.ask("CD 5")) == (51, "?")
+
+
 def test_an_idle_unit_schedules_nothing_and_power_off_drops_the_port() -> None:
     desk = Desk()
     desk.ask("PR 100", "BGX")
