@@ -21,6 +21,7 @@ from orchestrator.model.report import Lease
 from orchestrator.model.state import ControllerState
 
 REFRESH_S = 0.1
+LEASES_S = 1.0  # for hearing who holds what already
 LEAVE_S = 2.0  # for stopping and giving back; what can not be asked by then has stopped by itself
 
 
@@ -85,6 +86,8 @@ class JogSession:
         async with self._tutti.samples(keys.state(), keys.leases) as samples:
             for state in (await self._tutti.status()).values():
                 self._panel.hear(state, raw_ns())
+            for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_S)).values():
+                self._hear(Sample(keys.leases, payload))
             while True:
                 self._hear(await samples.get())
 

@@ -259,9 +259,16 @@ class Tutti:
     async def command(
         self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
     ) -> M:
-        """Ask a controller's adapter. Raises `Refused`."""
+        """Ask a controller's adapter. Raises `Refused`; adapters know their axes by their own names only, so the
+        controller's is put before what they say."""
         key = self.keys.cmd(controller, verb)
-        return _accepted(await self._ask(key, request, reply, timeout_s, _absent(controller)))
+        try:
+            return _accepted(await self._ask(key, request, reply, timeout_s, _absent(controller)))
+        except Refused as error:
+            said = error.refusal
+            if said.member != controller or controller in said.text:
+                raise
+            raise Refused(said.model_copy(update={"text": f"{controller}: {said.text}"})) from None
 
     # Inside
 

@@ -118,7 +118,7 @@ class Coordinator:
         self._view.listen_states(self._see)
         await self._view.start()
         bus, keys = self._court.bus, self._court.keys
-        self._leases.start()
+        await self._leases.start()
         self._hands.start()
         await self.runner.start()
         self._declared = [
@@ -134,7 +134,7 @@ class Coordinator:
         self._declared.clear()
         await self.runner.close(reason)
         self._hands.close()
-        self._leases.close()
+        await self._leases.close()
         await self._view.close()
         await self.throne.close()
         for task in list(self._tasks):

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from orchestrator.bus.base import Bus, BusError, Priority
+from orchestrator.bus.base import Bus, BusError, Declared, Priority, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
@@ -47,15 +47,28 @@ class LeaseBook:
         self._log = log
         self._held: dict[str, Held] = {}
         self._given_back = asyncio.Event()
+        self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
 
-    def start(self) -> None:
-        """Begin to renew what is held."""
+    async def start(self) -> None:
+        """Begin to renew what is held, and to say who holds what to those who ask."""
         self._renewing = asyncio.get_running_loop().create_task(self._renew())
+        for controller in self._view.fleet.controllers:
+            self._declared.append(await self._bus.serve(self._keys.lease(controller), self._answer))
 
-    def close(self) -> None:
+    async def close(self) -> None:
         if self._renewing is not None:
             self._renewing.cancel()
+        for declared in self._declared:
+            await declared.undeclare()
+        self._declared.clear()
+
+    async def _answer(self, sample: Sample) -> bytes:
+        """The lease of a controller; where its axes are held by several, that of the first."""
+        controller = sample.key.rpartition("/")[2]
+        mine = [held for held in self._held.values() if controller in by_controller(held.axes)]
+        lease = self._lease(mine[0], controller, None, mine[0].holder) if mine else self._free(controller)
+        return lease.to_json()
 
     @property
     def held(self) -> tuple[Held, ...]:
@@ -161,12 +174,18 @@ class LeaseBook:
         for controller, names in by_controller(held.axes).items():
             whole = set(names) == set(self._view.fleet.controllers[controller].axes)
             for axis in [None] if whole else names:
-                lease = Lease(
-                    controller=controller,
-                    axis=axis,
-                    holder=holder,
-                    actor=held.actor,
-                    what=held.what,
-                    epoch=self._members.throne.epoch,
-                )
+                lease = self._lease(held, controller, axis, holder)
                 self._bus.put(self._keys.lease(controller, axis), lease.to_json(), Priority.EVENT)
+
+    def _lease(self, held: Held, controller: str, axis: str | None, holder: str | None) -> Lease:
+        return Lease(
+            controller=controller,
+            axis=axis,
+            holder=holder,
+            actor=held.actor,
+            what=held.what,
+            epoch=self._members.throne.epoch,
+        )
+
+    def _free(self, controller: str) -> Lease:
+        return Lease(controller=controller, holder=None, actor="", epoch=self._members.throne.epoch)

@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
 from orchestrator.model.messages import JogRequest, Reply
+from orchestrator.model.report import Lease
 
 # By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
 AXES = {"gantry.x": ("gantry", "X", 1000, 20.0), "stage.u": ("stage", "1", 10_000, 1.0)}
@@ -207,6 +208,10 @@ def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
             assert hand.axes == ["gantry.x", "gantry.y"]
             async with ben.by_hand(["stage.u"]) as other:
                 await other.jog({"stage.u": 0.5})
+                # Who comes later asks who holds what.
+                leases = (await ben.bus.request_all(ben.keys.leases, b"", timeout_s=1.0)).values()
+                found = {each.controller: each.actor for each in map(Lease.model_validate_json, leases)}
+                assert found == {"gantry": "anna", "stage": "ben"}
             report = await ben.wait(await ben.submit(job("[{do: move, to: {gantry.y: 5}}]")))
             assert report.state == "failed"
             assert "gantry.x is in use by anna (jog panel)" in report.reason
