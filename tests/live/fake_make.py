@@ -1,10 +1,22 @@
 """A make for tests of hosts and guardians: it holds a link, and knows nothing but how to stop."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pydantic import BaseModel
 
-from adapters.contract import AxisReading, Capabilities, Driver, Identity, Lowered, Outcome, Reading, Setup, Span
+from adapters.contract import (
+    AxisReading,
+    CannotDo,
+    Capabilities,
+    Driver,
+    Identity,
+    JogMove,
+    Lowered,
+    Outcome,
+    Reading,
+    Setup,
+    Span,
+)
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.fleet import Controller
@@ -68,8 +80,14 @@ class FakeDriver(Driver):
     async def enable(self, axes: Sequence[str], on: bool) -> None:
         pass
 
-    async def home(self, axes: Sequence[str]) -> None:
-        pass
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+        raise NotImplementedError
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        raise NotImplementedError
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        raise NotImplementedError
 
     async def set_output(self, number: int, on: bool) -> None:
         pass
