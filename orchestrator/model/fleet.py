@@ -160,6 +160,8 @@ class Axis(Model):
                 raise ValueError(f"{name} ({speed:g}) is above limits.velocity ({self.limits.velocity:g})")
         if self.done == "in_position" and self.in_position_window is None:
             raise ValueError("`done: in_position` needs in_position_window")
+        if self.max_deviation is not None and len(self.motors) < 2:
+            raise ValueError("max_deviation is between the motors of one axis, and this one has a single motor")
         if self.soft_limits is not None:
             low = parse_quantity(self.soft_limits.min, self.unit)
             high = parse_quantity(self.soft_limits.max, self.unit)
