@@ -5,8 +5,10 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from adapters.contract import CannotDo, DriverFault, Identity
+from adapters.yaskawa import arrays
+from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import VARIABLES, program
+from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD, VARIABLES, letters, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
@@ -14,7 +16,7 @@ from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
 from orchestrator.link.base import LinkClosed, OpenLink
 
 THREADS = 8  # L12258
-OWN_THREAD = 0
+CONTOURING = 1 << 5  # of TB (L10224)
 
 
 class Device:
@@ -76,8 +78,12 @@ class Device:
         session, wanted = self.session, program(self.format.axes)
         present = [line.rstrip() for line in await session.ask_all("UL")]
         if present == list(wanted):
-            # Ours may still wait for a start that nobody will release any more.
-            await session.tell(f"HX{OWN_THREAD}")
+            # Ours may still wait for a start that nobody will release any more, or play a contour to its end.
+            (status,), _ = await session.numbers("_TB")
+            if int(status) & CONTOURING:
+                # Without its program a contour would stop dead (L13968): by its ramps, then.
+                await session.tell(f"ST{letters((1 << self.format.axes) - 1)}")
+            await self.unload()
         else:
             await self._require_replaceable(present)
             try:
@@ -94,6 +100,16 @@ class Device:
                 )
         for name in VARIABLES:
             await session.tell(f"{name}=0")
+        await arrays.free(session)
+
+    async def unload(self) -> None:
+        """Halt our program and leave contour mode: nothing starts, now or later."""
+        for thread in (STEP_THREAD, DOG_THREAD):
+            await self.session.tell(f"HX{thread}")
+        for command in LEAVE_CONTOUR:
+            # Outside contour mode there is nothing to leave, and a controller may say so.
+            with suppress(Refused):
+                await self.session.tell(command)
 
     async def _require_replaceable(self, present: list[str]) -> None:
         running, _ = await self.session.numbers(*(f"_HX{thread}" for thread in range(4)))
@@ -237,11 +253,12 @@ class Device:
 
 
 def stop_commands(abort: bool) -> tuple[str, ...]:
-    """What stops all axes and keeps the waiting program from starting any.
+    """What stops all axes, keeps the waiting program from starting any, and leaves contour mode.
 
     Motion first, then the program, and motion again: the program may have begun between the two. ST without letters
     stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
     """
+    halt = (f"HX{STEP_THREAD}", f"HX{DOG_THREAD}")
     if abort:
-        return ("AB", f"HX{OWN_THREAD}")
-    return ("ST", f"HX{OWN_THREAD}", "ST")
+        return ("AB", *halt, *LEAVE_CONTOUR)
+    return ("ST", halt[0], "ST", halt[1], *LEAVE_CONTOUR)

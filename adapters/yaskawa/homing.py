@@ -14,9 +14,9 @@ from contextlib import suppress
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.device import Device
+from adapters.yaskawa.model import SMC4000
 from adapters.yaskawa.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.registers import ramp_register, speed_register
-from adapters.yaskawa.trapezoid import RAMP_STEP, SPEED_STEP
 from adapters.yaskawa.words import stop_words
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
@@ -108,14 +108,14 @@ async def _load(device: Device, index: int, axis: Axis) -> None:
     session, tick_s = device.session, device.samples.tick_ns * 1e-9
     letter, scale, command = AXIS_LETTERS[index], float(axis.scale), METHODS[axis.homing.method]
     speed = (axis.homing.speed or SPEED_OF_LIMIT * axis.limits.velocity) * scale
-    ramp = max(RAMP_STEP, ramp_register(axis.limits.acceleration * scale, tick_s))
+    ramp = max(SMC4000.ramp_step, ramp_register(axis.limits.acceleration * scale, tick_s))
     await session.tell(f"AC{letter}={ramp}")
     await session.tell(f"DC{letter}={ramp}")
     if command == "FI":
         search = axis.homing.search_speed * scale if axis.homing.search_speed else min(speed, INDEX_SPEED_MAX)
         # The direction is meant in the axis's unit; the controller may count the other way.
         sign = axis.sign if axis.homing.direction == "positive" else -axis.sign
-        await session.tell(f"JG{letter}={sign * max(SPEED_STEP, speed_register(search, tick_s))}")
+        await session.tell(f"JG{letter}={sign * max(SMC4000.speed_step, speed_register(search, tick_s))}")
     else:
-        await session.tell(f"SP{letter}={max(SPEED_STEP, speed_register(speed, tick_s))}")
+        await session.tell(f"SP{letter}={max(SMC4000.speed_step, speed_register(speed, tick_s))}")
     await session.tell(f"{command}{letter}")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault, JogMove
 from adapters.yaskawa.device import Device
+from adapters.yaskawa.model import RAMP_UNIT, SPEED_UNIT
 from adapters.yaskawa.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.registers import exact_ramp, exact_speed
-from adapters.yaskawa.trapezoid import RAMP_UNIT, SPEED_UNIT
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.estimator import MAX_PPM
 

@@ -1,4 +1,10 @@
-"""Profiles turned into independent moves of the controller (PA, SP, AC, DC), and what is promised about them."""
+"""Profiles turned into what the controller executes, and what is promised about it.
+
+The rule, for all axes of a step together, because one begin starts them: independent moves (PA, SP, AC, DC) when the
+registers make every trapezoid last as planned to half a sample, or a little longer where a limit holds it (the plan
+follows that), and keep near its path; else a contour. A step of trapezoids that no contour can hold either is made by
+the registers all the same, and its durations say how far they are off.
+"""
 
 import math
 from collections.abc import Mapping
@@ -6,9 +12,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered
+from adapters.yaskawa import arrays
+from adapters.yaskawa.contour import Contour, Room, fit_contour, increments, least_interval
+from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import entry, letters
-from adapters.yaskawa.trapezoid import RAMP_UNIT, SPEED_UNIT, Bounds, Trapezoid, fit
+from adapters.yaskawa.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
+from adapters.yaskawa.registers import exact_ramp
+from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
@@ -16,18 +26,26 @@ from orchestrator.model.messages import Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
-STOP_EXCHANGES = 3  # a stop is three commands
+STOP_EXCHANGES = 3  # a stop of motion is three commands
+CONTOUR_EXCHANGES = 6  # DC and its reading back, XN, XM, XDT beyond what an independent move takes
+OFF_SAMPLES = 0.5  # an independent move may last so much longer or shorter than planned
+STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan is stretched to it
+SKEW_SAMPLES = 2.0  # and be so far from its plan on the way, at its peak speed,
+NEAR_COUNTS = 2.0  # or so many counts
+HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
+LOOP_SPREAD = 1.25  # how much longer than the option says a command may take
 
 
 @dataclass(frozen=True, slots=True)
 class AxisMove:
-    """One axis's move. index: 0 is X. start, end: absolute commanded positions, counts."""
+    """One axis's move. index: 0 is X. start, end: absolute commanded positions, counts. samples: from the begin to
+    the last commanded position, 0 for an axis that stands still."""
 
     axis: str
     index: int
     start: int
     end: int
-    shape: Trapezoid
+    samples: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +55,76 @@ class LoweredMoves(Lowered):
     moves: tuple[AxisMove, ...]
     mask: int
     drift_bound_ns: int
+    load: "Registers | Records"
+
+    @property
+    def way(self) -> tuple[AxisMove, ...]:
+        """The axes that move."""
+        return tuple(move for move in self.moves if move.samples)
+
+
+@dataclass(frozen=True, slots=True)
+class Registers:
+    """Independent moves. ends, shapes: by index of the axis."""
+
+    ends: Mapping[int, int]
+    shapes: Mapping[int, Trapezoid]
+
+    @property
+    def held(self) -> dict[str, dict[int, int]]:
+        """By command the values of axes, for reading back."""
+        shapes = self.shapes.items()
+        return {
+            "SP": {index: shape.speed for index, shape in shapes},
+            "AC": {index: shape.up for index, shape in shapes},
+            "DC": {index: shape.down for index, shape in shapes},
+        }
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """What loads them; axes without a way are not touched."""
+        if not self.ends:
+            return ()
+        return tuple(f"{command} {fields(values)}" for command, values in {"PA": self.ends, **self.held}.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. why: what the registers would have made
+    of it."""
+
+    contour: Contour
+    profiles: Mapping[int, Profile]
+    ends: Mapping[int, int]
+    brakes: Mapping[int, int]
+    why: str
+
+    @property
+    def held(self) -> dict[str, dict[int, int]]:
+        """By command the values of axes, for reading back."""
+        return {"DC": dict(self.brakes)}
+
+    def arrays(self, phase: float, tick_ns: float) -> dict[str, list[int]]:
+        """The arrays' contents for a start `phase` samples after T0, with samples of `tick_ns`."""
+        filled = {
+            array(index): increments(profile, self.ends[index], self.contour, phase, tick_ns)
+            for index, profile in self.profiles.items()
+        }
+        return filled | ({TAIL: list(self.contour.tail)} if self.contour.tail else {})
+
+    @property
+    def variables(self) -> dict[str, int]:
+        return {"XN": self.contour.records, "XM": self.contour.count, "XDT": self.contour.interval}
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        names = ", ".join(array(index) for index in self.profiles)
+        tail = f", then one each of {', '.join(str(1 << n) for n in self.contour.tail)}" if self.contour.tail else ""
+        return (
+            f"contour{self.why}: {self.contour.records} records of {1 << self.contour.interval} samples{tail}",
+            f"DC {fields(self.brakes)}",
+            f"QD {names}: {self.contour.count} increments each",
+        )
 
 
 def fields(values: Mapping[int, int]) -> str:
@@ -44,19 +132,8 @@ def fields(values: Mapping[int, int]) -> str:
     return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
 
 
-def move_commands(moves: tuple[AxisMove, ...]) -> tuple[str, ...]:
-    """The commands that load the moves; axes without a way are not touched."""
-    way = [move for move in moves if move.shape.samples]
-    if not way:
-        return ()
-    ends = fields({move.index: move.end for move in way})
-    speeds = fields({move.index: move.shape.speed for move in way})
-    ramps = fields({move.index: move.shape.ramp for move in way})
-    return (f"PA {ends}", f"SP {speeds}", f"AC {ramps}", f"DC {ramps}")
-
-
 def begin_ticks(options: Options, tick_ns: float) -> tuple[int, int]:
-    """Between how many samples after XT0 the moves begin: BG takes effect some time after it, at a whole sample."""
+    """Between how many samples after XT0 the moves begin: BG or CD takes effect some time after it, at a whole one."""
     first = math.floor(options.decode_min_us * NS_PER_US / tick_ns) + 1
     last = math.floor(options.begin_max_us * NS_PER_US / tick_ns) + 1
     return first, max(first, last)
@@ -80,33 +157,141 @@ def lower_moves(
         )
     if mapping is None:
         raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
-    moves: list[AxisMove] = []
-    for axis, profile in profiles.items():
-        scale, limits = float(config.axes[axis].scale), config.axes[axis].limits
-        bounds = Bounds(limits.velocity * scale, limits.acceleration * scale)
-        shape = fit(axis, profile, bounds, mapping.tick_ns, options.servo_period_us)
-        moves.append(AxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, shape))
-    # An axis that stands still is not begun; the time it is given has no meaning.
-    mask = sum(1 << move.index for move in moves if move.shape.samples)
     tick_ns = mapping.tick_ns
+    bounds = {
+        axis: Bounds(config.axes[axis].limits.velocity * scale, config.axes[axis].limits.acceleration * scale)
+        for axis in profiles
+        for scale in [float(config.axes[axis].scale)]
+    }
+    way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
+    shapes, why = _by_registers(way, bounds, tick_ns)
+    load: Registers | Records
+    if shapes is not None and not why:
+        load = _registers(shapes, way, motors)
+    else:
+        try:
+            load = _by_contour(way, motors, bounds, options, tick_ns, why)
+        except CannotDo:
+            if shapes is None:
+                raise
+            load = _registers(shapes, way, motors)
+    return _promise(load, profiles, motors, options, costs, mapping)
+
+
+def _by_registers(
+    way: Mapping[str, Profile], bounds: Mapping[str, Bounds], tick_ns: float
+) -> tuple[dict[str, Trapezoid] | None, str]:
+    """The trapezoids, None where an axis's profile is none; and why they should rather be a contour, or nothing."""
+    shapes: dict[str, Trapezoid] = {}
+    for axis, profile in way.items():
+        try:
+            shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, SMC4000)
+        except CannotDo as refusal:
+            if refusal.refusal.code != "shape":
+                raise
+            return None, ""
+    reasons = [
+        f"; {axis} would end {shape.off * tick_ns * 1e-6:+.2f} ms off by its registers, {shape.path_error_counts:.0f} "
+        "counts beside its plan"
+        for axis, shape in shapes.items()
+        if not _suffices(shape, way[axis], tick_ns)
+    ]
+    return shapes, reasons[0] if reasons else ""
+
+
+def _suffices(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:
+    in_time = abs(shape.off) <= OFF_SAMPLES
+    held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
+    peak = profile.peak_velocity * tick_ns * 1e-9
+    return (in_time or held) and shape.path_error_counts <= max(NEAR_COUNTS, SKEW_SAMPLES * peak)
+
+
+def _registers(shapes: Mapping[str, Trapezoid], way: Mapping[str, Profile], motors: Mapping[str, int]) -> Registers:
+    ends = {motors[axis]: profile.end_counts for axis, profile in way.items()}
+    return Registers(ends, {motors[axis]: shape for axis, shape in shapes.items()})
+
+
+def _by_contour(
+    way: Mapping[str, Profile],
+    motors: Mapping[str, int],
+    bounds: Mapping[str, Bounds],
+    options: Options,
+    tick_ns: float,
+    why: str,
+) -> Records:
+    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS) * LOOP_SPREAD * options.decode_us * NS_PER_US
+    room = Room(
+        options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, SMC4000), options.contour_sag_counts
+    )
+    contour = fit_contour(way, tick_ns, room, SMC4000)
+    return Records(
+        contour,
+        {motors[axis]: profile for axis, profile in way.items()},
+        {motors[axis]: contour.ends[axis] for axis in way},
+        {motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_ns * 1e-9) for axis in way},
+        why,
+    )
+
+
+def _promise(
+    load: Registers | Records,
+    profiles: Mapping[str, Profile],
+    motors: Mapping[str, int],
+    options: Options,
+    costs: Costs,
+    mapping: TickMapping,
+) -> LoweredMoves:
+    tick_ns = mapping.tick_ns
+    lengths: dict[str, float] = {}
+    samples: dict[str, int] = {}
+    errors: dict[str, float] = {}
+    brakes_ns = [0.0]
+    arm_ns = costs.arm_ns
+    for axis, profile in profiles.items():
+        index = motors[axis]
+        lengths[axis], samples[axis], errors[axis] = 0.0, 0, 0.0
+        if isinstance(load, Registers) and index in load.shapes:
+            shape = load.shapes[index]
+            lengths[axis], samples[axis], errors[axis] = shape.length, shape.samples, shape.path_error_counts
+            # A stop brakes with the move's own DC, which a gentle move has set lower than the axis's limit.
+            brakes_ns.append(shape.speed / shape.down * RAMP_UNIT / SPEED_UNIT * tick_ns)
+        elif isinstance(load, Records) and index in load.ends:
+            lengths[axis] = samples[axis] = load.ends[index]
+            errors[axis] = 1.0 + load.contour.sag_counts[axis]
+            brakes_ns.append(profile.peak_velocity * tick_ns / load.brakes[index] * RAMP_UNIT * tick_ns * 1e-9)
+    if isinstance(load, Records):
+        loading = arrays.exchanges(load.arrays(0.0, tick_ns)) + CONTOUR_EXCHANGES
+        arm_ns += loading * options.exchange_ns
+    moves = tuple(
+        AxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])
+        for axis, profile in profiles.items()
+    )
+    # An axis that stands still is not begun; the time it is given has no meaning.
+    mask = sum(1 << move.index for move in moves if move.samples)
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + round(options.lead_s * NS_PER_S))
     first, last = begin_ticks(options, tick_ns)
-    # A stop brakes with the move's own DC, which a gentle move has set lower than the axis's limit.
-    brake_ns = max(move.shape.speed / move.shape.ramp * RAMP_UNIT / SPEED_UNIT * tick_ns for move in moves)
     half_tick_ns = math.ceil(tick_ns / 2)
+    contour = isinstance(load, Records)
+    begin = f"CD of {letters(mask)}" if contour else f"BG{letters(mask)}"
     return LoweredMoves(
         start_class="clock",
-        durations_s={move.axis: move.shape.samples * tick_ns * 1e-9 for move in moves},
-        path_error_counts={move.axis: move.shape.path_error_counts for move in moves},
+        durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
+        path_error_counts=errors,
         terms=(
             Term(name="clock", earliest_ns=-bound_ns, latest_ns=bound_ns),
             Term(name="quantisation", earliest_ns=-half_tick_ns, latest_ns=half_tick_ns),
             Term(name="tick", earliest_ns=0, latest_ns=math.ceil((last - first) * tick_ns)),
         ),
         tick_ns=tick_ns,
-        costs=costs.model_copy(update={"stop_ns": math.ceil(brake_ns) + STOP_EXCHANGES * options.exchange_ns}),
-        commands=(*move_commands(tuple(moves)), f"XQ {entry(mask)},0  (waits for T0, then BG{letters(mask)})"),
-        moves=tuple(moves),
+        costs=costs.model_copy(
+            update={
+                "arm_ns": arm_ns,
+                "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
+            }
+        ),
+        commands=(*load.commands, f"XQ {entry(mask, contour)},0  (waits for T0, then {begin})"),
+        moves=moves,
         mask=mask,
         drift_bound_ns=bound_ns,
+        load=load,
     )

@@ -36,6 +36,24 @@ class Options(Model):
         le=60,
         description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
     )
+    array_elements: int = Field(
+        default=15000,
+        ge=100,
+        le=15000,
+        description="Elements of the controller's arrays that contours may take (L15876).",
+    )
+    contour_sag_counts: float = Field(
+        default=10.0,
+        ge=0,
+        description="What a contour that is too long for the shortest records may leave its plan by between longer "
+        "ones, counts.",
+    )
+    watchdog_s: float = Field(
+        default=1.0,
+        ge=0.25,
+        le=60,
+        description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s.",
+    )
     motor_type: dict[Id, float] = Field(
         default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."
     )

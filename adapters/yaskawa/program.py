@@ -1,30 +1,55 @@
 """The program that lives in the controller: it waits behind a gate, and begins at a sample of the controller's own.
 
-One entry `#S<mask>` for each set of axes (bit 0 is X), because BG of an axis that is off is refused for all (L3071).
-The gate polls XGO through a trip-point, so that it costs the interpreter little, and is decided GATE_TICKS before the
-start: in the last 20 ms nothing but `WT` is under way, and BG follows it on the same line with nothing between.
+For each set of axes (bit 0 is X), because BG of an axis that is off is refused for all (L3071): an entry `#S<mask>`
+for independent moves, and one `#C<mask>` that plays a contour out of the arrays. The gate polls XGO through a
+trip-point, so that it costs the interpreter little, and is decided GATE_TICKS before the start: in the last 20 ms
+nothing but `WT` is under way, and BG or the first CD follows it on the same line with nothing between. Contour mode is
+entered before.
+
+A contour's records after the first follow in a loop whose next CD comes right after WC has let go (L11717), so that
+the whole length of a record is there for it. `#DOG` runs beside a step in a thread of its own, from after its start to
+its end: it stops the axes when nobody has moved XDL for too long, or when the program has died.
+
 Names begin with X and no op-code, so that no assignment can be taken for a command (L15737).
 
     XT0    sample to begin after            XGO    1: the gate is open
     XARM   XT0, once the program waits      XOK    1: went through the gate in time
-    XLATE  1: the gate was shut; no start   XACT   sample in which BG had been carried out; 0 before
+    XLATE  1: the gate was shut; no start   XACT   sample in which the begin had been carried out; 0 before
     XE1..4 sample in which an axis ended    XDONE  1: all axes have ended
+    XDL    sample in which the dog bites    XDOG   1: it has
+    XN     records of full length           XM     all records
+    XDT    DT of the full ones              XI     next record
+    XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
 from adapters.yaskawa.record import AXIS_LETTERS
 
+STEP_THREAD = 0
+DOG_THREAD = 1
 GATE_TICKS = 40
 GATE_STEP_TICKS = 4
 # At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
 GATE_SEEN_TICKS = GATE_STEP_TICKS + 6
-START_ROOM_TICKS = 8  # from the gate to the wait there are four commands
+START_ROOM_TICKS = 8  # from the gate to the wait there are seven commands
+DOG_STEP_TICKS = 32
+LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump
+TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
-VARIABLES = ("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4")
+VARIABLES = (
+    *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
+    *("XDL", "XDOG", "XN", "XM", "XDT", "XI"),
+)
+TAIL = "XTD"
 
 
-def entry(mask: int) -> str:
+def array(index: int) -> str:
+    """The array of increments of an axis."""
+    return f"XC{index + 1}"
+
+
+def entry(mask: int, contour: bool) -> str:
     """The label that begins the axes of `mask`."""
-    return f"#S{mask}"
+    return f"#{'C' if contour else 'S'}{mask}"
 
 
 def letters(mask: int) -> str:
@@ -38,14 +63,45 @@ def program(axes: int) -> tuple[str, ...]:
     for mask in range(1 << axes):
         moving = letters(mask)
         begin = f"BG{moving};" if moving else ""
-        lines += [entry(mask), "JS #GATE", "JP #SHUT,XOK=0", f"WT XT0-TIME;{begin}XACT=TIME"]
+        lines += [entry(mask, False), *_let_through(), f"WT XT0-TIME;{begin}XACT=TIME;XQ #DOG,{DOG_THREAD}"]
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
         lines.append("XDONE=1;EN")
+    for mask in range(1, 1 << axes):
+        lines += _contour(mask, axes)
     lines += [
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {GATE_STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{GATE_TICKS})",
         f"XOK=XGO&((XT0-TIME)>{START_ROOM_TICKS})",
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
+        f"#DOG;WT {DOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(_HX{STEP_THREAD}>0)",
+        "JP #SHUT,XDONE=1",
+        # The program first, or it would begin the contour anew.
+        f"HX{STEP_THREAD};ST{letters((1 << axes) - 1)};XDOG=1;DT 0;CD 0;EN",
     ]
     return tuple(lines)
+
+
+def _let_through() -> tuple[str, str]:
+    return "JS #GATE", "JP #SHUT,XOK=0"
+
+
+def _contour(mask: int, axes: int) -> list[str]:
+    """Contour mode is left by DT 0 and CD 0 (L4274), which wait behind the last record like one."""
+    chosen = [index for index in range(axes) if mask >> index & 1]
+    ends = ";".join(f"XE{index + 1}=XE{chosen[0] + 1}" for index in chosen[1:])
+
+    def take(element: str) -> str:
+        return "CD " + ",".join(f"{array(k)}[{element}]" if k in chosen else "" for k in range(chosen[-1] + 1))
+
+    return [
+        entry(mask, True),
+        *_let_through(),
+        f"CM {letters(mask)};DT XDT;XI=1",
+        f"WT XT0-TIME;{take('0')};XACT=TIME;XQ #DOG,{DOG_THREAD}",
+        f"#P{mask};WC;{take('XI')};XI=XI+1;JP #P{mask},XI<XN",
+        f"#T{mask};JP #U{mask},XI>=XM",
+        f"WC;DT {TAIL}[XI-XN];{take('XI')};XI=XI+1;JP #T{mask}",
+        f"#U{mask};WC;DT 0;CD 0",
+        f"WC;XE{chosen[0] + 1}=TIME;{ends + ';' if ends else ''}XDONE=1;EN",
+    ]

@@ -8,7 +8,7 @@ gets one prompt or several. Text that nobody asked for comes as whole lines befo
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -20,6 +20,7 @@ MAX_LINE = 80  # characters (L12254)
 MAX_PACKET = 470  # bytes (L1735)
 DOWNLOAD_REFUSED_S = 0.25  # a download that is refused is refused by then
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet
+END_OF_DATA = "\x1a"  # control Z, of programs and arrays (L4134, L8552, L9116)
 REVISION = "\x12\x15"  # control R control U (L9721); takes effect without a carriage return
 
 T = TypeVar("T")
@@ -161,6 +162,44 @@ class Session:
                 raise await self._refusal("DL")
             self._in_step = True
 
+    async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
+        """Fill elements of an array from `first` on (QD, L8545); they must fit into a packet.
+
+        Without a pause before the data: should QD be refused, they are lines of numbers, which are no commands.
+        """
+        async with self._turn:
+            await self._get_in_step()
+            command = f"QD {name}[],{first},{first + len(values) - 1}"
+            self._in_step = False
+            self._link.write(command.encode("ascii") + b"\r")
+            data = "\r\n".join(map(str, values)) + END_OF_DATA
+            parsed, _ = await self._exchange(data, lambda: parse_reply(self._buffer), terminated=True)
+            if parsed.refused:
+                raise await self._refusal(command)
+            self._in_step = True
+
+    async def read_array(self, name: str, first: int, last: int) -> list[int]:
+        """Elements of an array, as whole numbers (QU, L9105): commas between, a control Z and the prompt behind."""
+
+        def whole() -> str | None:
+            text = bytes(self._buffer).decode("latin-1")
+            body, end, rest = text.partition(END_OF_DATA)
+            if not end:
+                return "?" if text.strip() == "?" else None
+            if not rest.endswith(":"):
+                return None
+            self._buffer.clear()
+            return body
+
+        async with self._turn:
+            await self._get_in_step()
+            command = f"QU {name}[],{first},{last},1"
+            body, _ = await self._exchange(command, whole)
+            if body == "?":
+                raise await self._refusal(command)
+            self._in_step = True
+            return [int(value) for value in parse_numbers(body, last - first + 1, command)]
+
     async def _anything_within(self, seconds: float) -> bool:
         try:
             async with asyncio.timeout(seconds):
@@ -169,14 +208,17 @@ class Session:
             return False
         return True
 
-    async def _exchange(self, command: str, whole: Callable[[], T | None]) -> tuple[T, int]:
-        """Write a command and read until `whole` finds its complete reply; with the instant of writing."""
+    async def _exchange(self, command: str, whole: Callable[[], T | None], terminated: bool = False) -> tuple[T, int]:
+        """Write a command and read until `whole` finds its complete reply; with the instant of writing.
+
+        terminated: the command ends with what ends it, and needs no carriage return.
+        """
         self._in_step = False
         if self._buffer:
             self.unsolicited.append(self._buffer.decode("latin-1").strip())
             self._buffer.clear()
         data = command.encode("latin-1")
-        if command[:1] >= " ":
+        if not terminated and command[:1] >= " ":
             data += b"\r"
         sent_ns = self._link.write(data)
         try:
@@ -256,7 +298,7 @@ class Session:
 
 def _decimals(operand: str) -> int:
     """Only a few settings have a fractional part."""
-    return 4 if operand[:3] in ("_IT", "_MT") else 0
+    return 4 if operand[:3] in ("_IT", "_MT", "_PF") else 0
 
 
 def parse_numbers(line: str, count: int, command: str) -> list[float]:

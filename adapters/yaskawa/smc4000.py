@@ -45,8 +45,8 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
 POINTS = 8  # inputs, outputs (L390, L470)
-ARM_EXCHANGES = 18
-DISARM_EXCHANGES = 4
+ARM_EXCHANGES = 20
+DISARM_EXCHANGES = 7
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L7683-7704)
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
@@ -124,7 +124,7 @@ class SMC4000Driver(Driver):
             disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        return Capabilities(start_classes=("clock",), orders=(2,), independent_axes=False, costs=costs)
+        return Capabilities(start_classes=("clock",), orders=(2, 3), independent_axes=False, costs=costs)
 
     # Reading it
 

@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault, Outcome, Span
-from adapters.yaskawa.device import OWN_THREAD, Device
-from adapters.yaskawa.lowering import AxisMove, LoweredMoves, begin_ticks, move_commands
+from adapters.yaskawa import arrays
+from adapters.yaskawa.device import Device
+from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records, begin_ticks, fields
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import GATE_SEEN_TICKS, GATE_TICKS, entry
+from adapters.yaskawa.program import DOG_THREAD, GATE_SEEN_TICKS, GATE_TICKS, STEP_THREAD, entry
 from adapters.yaskawa.record import Record
 from adapters.yaskawa.words import stop_words
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 
 TICKS_MAX = 2_147_483_647  # L10613
@@ -18,6 +19,7 @@ STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 SETTLE_NS = 5 * NS_PER_MS
+LATE_TICKS = 4  # of a contour's stamps: from the last record to its stamp there are two commands
 
 
 @dataclass(slots=True)
@@ -64,15 +66,20 @@ class Start:
         self._require_ready(await self._device.record(), lowered)
         session = self._device.session
         checked_ns = self._clock.now_ns()
-        for command in move_commands(lowered.moves):
-            await session.tell(command)
+        # The sample of the begin lies beside T0 by a part of one.
+        phase = ticks + first - mapping.ticks(t0_ns)
+        await self._load(lowered, phase, mapping.tick_ns)
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
         await session.tell("XGO=0")
         await session.tell("XARM=0")
         await session.tell(f"XT0={ticks}")
+        # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
+        await session.tell(f"HX{DOG_THREAD}")
+        await self._feed(ticks)
         read_ns = self._clock.now_ns()
-        await session.tell(f"XQ {entry(lowered.mask)},{OWN_THREAD}")
+        contour = isinstance(lowered.load, Records)
+        await session.tell(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}")
         self._loaded = loaded
         await self._wait_for_program(loaded)
         done_ns = self._clock.now_ns()
@@ -83,21 +90,37 @@ class Start:
             "arm": done_ns - read_ns,
         }
 
+    async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float) -> None:
+        session, load = self._device.session, lowered.load
+        if not isinstance(load, Records):
+            for command in load.commands:
+                await session.tell(command)
+            return
+        await arrays.load(session, load.arrays(phase, tick_ns))
+        await session.tell(f"DC {fields(load.brakes)}")
+        for name, value in load.variables.items():
+            await session.tell(f"{name}={value}")
+
     async def _read_back(self, lowered: LoweredMoves) -> None:
-        moves = [move for move in lowered.moves if move.shape.samples]
-        for command, wanted in (
-            ("SP", {move.index: move.shape.speed for move in moves}),
-            ("AC", {move.index: move.shape.ramp for move in moves}),
-            ("DC", {move.index: move.shape.ramp for move in moves}),
-        ):
+        load = lowered.load
+        for command, wanted in load.held.items():
             if wanted:
                 held = await self._device.read_back(command, wanted)
                 if held != wanted:
                     raise CannotDo("read-back", f"{command} reads back as {held}, not {wanted}", "try again")
+        if isinstance(load, Records):
+            values, _ = await self._device.session.numbers(*load.variables)
+            if values != list(load.variables.values()):
+                raise CannotDo("read-back", f"{values} read back for {load.variables}", "try again")
+
+    async def _feed(self, ticks: int) -> None:
+        """Keep the dog quiet until some time after sample `ticks`."""
+        patience = round(self._options.watchdog_s * NS_PER_S / self._device.samples.tick_ns)
+        await self._device.session.tell(f"XDL={min(ticks + patience, TICKS_MAX)}")
 
     async def _wait_for_program(self, loaded: _Loaded) -> None:
         while True:
-            (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{OWN_THREAD}", "XLATE")
+            (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{STEP_THREAD}", "XLATE")
             if not running:
                 raise CannotDo("not-armed", "the waiting program has ended by itself", "look at TC1; try again")
             if int(armed) == loaded.ticks and not late:
@@ -123,7 +146,7 @@ class Start:
         """Just before the promise."""
         loaded = self._require_loaded()
         self._require_ready(await self._device.record(), loaded.lowered)
-        (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{OWN_THREAD}", "XLATE")
+        (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{STEP_THREAD}", "XLATE")
         if late:
             raise CannotDo("late", "the gate is shut already", "give more lead time")
         if not running or int(armed) != loaded.ticks:
@@ -136,7 +159,7 @@ class Start:
             raise CannotDo("late", "it is too late to release the start", "give more lead time")
         await session.tell("XGO=1")
         while True:
-            (passed, late, running), _ = await session.numbers("XOK", "XLATE", f"_HX{OWN_THREAD}")
+            (passed, late, running), _ = await session.numbers("XOK", "XLATE", f"_HX{STEP_THREAD}")
             if late:
                 raise CannotDo("late", "the gate was shut before the release came", "give more lead time")
             if not running:
@@ -149,9 +172,9 @@ class Start:
         """Nothing starts from the program, now or later."""
         self._loaded = None
         session = self._device.session
-        await session.tell(f"HX{OWN_THREAD}")
+        await self._device.unload()
         await session.tell("XGO=0")
-        (running,), _ = await session.numbers(f"_HX{OWN_THREAD}")
+        (running,), _ = await session.numbers(f"_HX{STEP_THREAD}")
         if running:
             raise DriverFault("not-halted", "the waiting program does not halt", "reset the controller")
 
@@ -179,7 +202,7 @@ class Start:
         _, last = begin_ticks(self._options, mapping.tick_ns)
         await sleep_until_ns(self._clock, mapping.host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns))
         while True:
-            (acted, late, running), _ = await self._device.session.numbers("XACT", "XLATE", f"_HX{OWN_THREAD}")
+            (acted, late, running), _ = await self._device.session.numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
             if late:
                 raise DriverFault("late", "the gate was shut before the release came; nothing started", "try again")
             if acted:
@@ -211,19 +234,23 @@ class Start:
                     ended[move.axis] = Span(seen_ns[move.axis], record.received_ns)
             if len(ended) == len(moves):
                 break
+            await self._feed(round((self._device.samples.mapping() or loaded.mapping).ticks(record.received_ns)))
             # Look again soon after the next planned end: the stamps tell the last end only.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             await sleep_ns(self._clock, min(WATCH_NS, left_ns) if left_ns > 0 else SETTLE_NS)
         reasons = {move.axis: self._reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
         if states == {"done"}:
-            await self._refine(loaded, ended)
-            return Outcome("done", ended)
+            late = await self._refine(loaded, ended)
+            return Outcome("fault", ended, late) if late else Outcome("done", ended)
         text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")
+        (bitten,), _ = await self._device.session.numbers("XDOG")
+        if bitten:
+            text += "; by its own watchdog: it had not heard of its adapter, or its program had failed"
         return Outcome("fault" if "fault" in states else "stopped", ended, text)
 
     def _reason(self, move: AxisMove, record: Record) -> tuple[str, str]:
-        if not move.shape.samples:
+        if not move.samples:
             return "done", ""
         axis = record.axes[move.index]
         code = stop_words(axis.stop_code)
@@ -231,31 +258,45 @@ class Start:
             return "fault", f"stands at {axis.commanded} counts, not at {move.end}"
         return code.state, code.text
 
-    async def _refine(self, loaded: _Loaded, ended: dict[str, Span]) -> None:
-        """Narrow the ends by the program's own stamps.
+    async def _refine(self, loaded: _Loaded, ended: dict[str, Span]) -> str:
+        """Narrow the ends by the program's own stamps; says if a contour was fed too slowly.
 
-        XEn is read after AM of axis n has let go: the axis had ended by then, but an axis that AM came to late may
-        have ended long before. It can not have ended before its profile was through, counted from its start.
+        XEn is read after AM of axis n, or WC behind a contour's last record, has let go: the axis had ended by then,
+        but it may have ended long before, if the program came to the wait late. It can not have ended before its
+        profile was through, counted from its start. Axes that end within a contour read as moving until all of it is
+        over, but ended as much earlier as their records are fewer.
         """
-        moves = loaded.lowered.moves
+        moves, load = loaded.lowered.moves, loaded.lowered.load
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
-            stamps, _ = await self._device.session.numbers("XDONE", *(f"XE{move.index + 1}" for move in moves))
+            stamps, _ = await self._device.session.numbers(
+                "XDONE", "XACT", *(f"XE{move.index + 1}" for move in moves if move.samples)
+            )
             if stamps[0]:
                 break
             if self._clock.now_ns() > until_ns:
-                return
+                return ""
             # The axes are through, the program's last lines not yet.
             await sleep_ns(self._clock, SETTLE_NS)
         mapping = self._device.samples.mapping() or loaded.mapping
-        for move, stamp in zip(moves, stamps[1:], strict=True):
+        acted, *ends = (int(stamp) for stamp in stamps[1:])
+        total = load.contour.instants[-1] if isinstance(load, Records) else None
+        for move in moves:
+            if not move.samples:
+                ended[move.axis] = loaded.started[move.axis]
+        for move, stamp in zip(loaded.lowered.way, ends, strict=True):
             start, seen = loaded.started[move.axis], ended[move.axis]
-            if not move.shape.samples:
-                ended[move.axis] = start
-                continue
-            by_ns = mapping.host_ns(int(stamp) + 1)
-            not_before_ns = start.earliest_ns + round((move.shape.samples - 1) * mapping.tick_ns)
-            ended[move.axis] = Span(
-                max(seen.earliest_ns, not_before_ns),
-                min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)),
+            not_before_ns = start.earliest_ns + round((move.samples - 1) * mapping.tick_ns)
+            if total is None:
+                by_ns = mapping.host_ns(stamp + 1)
+                not_before_ns = max(seen.earliest_ns, not_before_ns)
+            else:
+                by_ns = mapping.host_ns(stamp + 1 - total + move.samples)
+            ended[move.axis] = Span(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
+        late = 0 if total is None else ends[0] - acted - total
+        if late > LATE_TICKS:
+            return (
+                f"the contour ended {late} samples late: its records came too slowly; raise the controller's option "
+                "decode_us to what a command of its programs really takes"
             )
+        return ""

@@ -29,7 +29,7 @@ STOP_CODES: dict[int, StopCode] = {
     41: StopCode("fault", "latch-overrun", "overran a latch target"),
     42: StopCode("fault", "latch-short", "stopped short of a latch target"),
     50: StopCode("fault", "contouring", "runs a contour"),
-    51: StopCode("fault", "contour-end", "stopped at the end of a contour"),
+    51: StopCode("done", "contour-end", "stopped at the end of a contour"),
     99: StopCode("fault", "in-position-timeout", "did not reach its position in time", "look for a jam"),
     100: StopCode("fault", "sequence", "runs a vector sequence"),
     101: StopCode("fault", "sequence-end", "stopped at the end of a vector sequence"),

@@ -320,7 +320,7 @@ def test_refusals_before_anything_moves():
         mapping = world.driver.mapping()
         for code, profile, start in (
             ("start-class", trapezoid(0, 5000, 20_000, 200_000), "host"),
-            ("too-slow", trapezoid(0, 10, 1.0, 10.0), "auto"),
+            ("too-far", trapezoid(0, 2**31, 20_000, 200_000), "auto"),
         ):
             with pytest.raises(CannotDo) as refusal:
                 world.driver.lower({"x": profile}, start, mapping)

@@ -7,10 +7,11 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.contract import CannotDo
+from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.program import VARIABLES, program
 from adapters.yaskawa.session import MAX_LINE, parse_reply
 from adapters.yaskawa.smc4000 import MAKE
-from adapters.yaskawa.trapezoid import RAMP_UNIT, SPEED_UNIT, Bounds, fit
+from adapters.yaskawa.trapezoid import Bounds, fit
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Controller
 from orchestrator.model.profile import Profile
@@ -41,36 +42,36 @@ def test_registers_never_exceed_the_limits_in_host_time():
         tick_ns = 976_562.5 * (1 + draw.uniform(-1e-4, 1e-4))
         speed, ramp = draw.uniform(5_000, 100_000), draw.uniform(30_000, 1_000_000)
         profile = trapezoid(0, draw.randrange(1_000, 300_000), speed, ramp, draw.choice((1.0, draw.uniform(1, 1.4))))
-        move = fit("x", profile, Bounds(speed, ramp), tick_ns, 1000)
+        move = fit("x", profile, Bounds(speed, ramp), tick_ns, SMC4000)
         tick_s = tick_ns * 1e-9
-        assert move.speed % 2 == 0 and move.ramp % 1024 == 0
+        assert move.speed % 2 == 0 and move.up % 1024 == 0 and move.down % 1024 == 0
         assert move.speed / SPEED_UNIT / tick_s <= speed * (1 + 1e-6)
-        assert move.ramp / RAMP_UNIT / tick_s**2 <= ramp * (1 + 1e-6)
+        assert max(move.up, move.down) / RAMP_UNIT / tick_s**2 <= ramp * (1 + 1e-6)
         assert move.samples >= round(profile.duration_s / tick_s)
 
 
 def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_answer():
     tick_ns = 976_500.0
     profile = trapezoid(0, 100_000, 80_001.0, 500_500.0)
-    first = fit("x", profile, Bounds(80_001.0, 500_500.0), tick_ns, 1000)
+    first = fit("x", profile, Bounds(80_001.0, 500_500.0), tick_ns, SMC4000)
     answer_s = first.samples * tick_ns * 1e-9
     assert answer_s > profile.duration_s
     again = profile.stretched(answer_s / profile.duration_s)
-    second = fit("x", again, Bounds(80_001.0, 500_500.0), tick_ns, 1000)
+    second = fit("x", again, Bounds(80_001.0, 500_500.0), tick_ns, SMC4000)
     assert second.samples * tick_ns * 1e-9 == pytest.approx(answer_s, abs=tick_ns * 0.5e-9)
 
 
 @pytest.mark.parametrize(
     ("profile", "code"),
     [
-        (Profile(0, 100, 100.0, [1.0, 1.0], [0.0, 1.0], [1.0, -1.0]), "order"),
+        (Profile(0, 100, 100.0, [1.0, 1.0], [0.0, 1.0], [1.0, -1.0]), "shape"),
         (Profile(0, 150, 100.0, [1.0, 0.5, 2.0], [1.0, 0.0, -0.5], [0.0] * 3), "shape"),
-        (trapezoid(0, 10, 1.0, 10.0), "too-slow"),
+        (Profile(0, 2**31, 1.0, [1.0, 1.0, 1.0], [2.0**30, 0.0, -(2.0**30)], [0.0] * 3), "too-far"),
     ],
 )
 def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
     with pytest.raises(CannotDo) as refusal:
-        fit("x", profile, Bounds(1e5, 1e6), 976_562.5, 1000)
+        fit("x", profile, Bounds(1e5, 1e6), 976_562.5, SMC4000)
     assert refusal.value.refusal.code == code
     assert "axis x" in refusal.value.refusal.text
 
@@ -83,8 +84,8 @@ def test_the_program_keeps_the_controllers_rules():
     assert all(len(name) <= 8 and name[0] == "X" and name[:2] != "XQ" for name in VARIABLES)
     # Nothing stands between the wait and the begin.
     waits = [line for line in lines if "WT XT0-TIME" in line]
-    assert len(waits) == 16
-    assert all(line.startswith("WT XT0-TIME;BG") for line in waits[1:])
+    assert len(waits) == 31
+    assert all(line.startswith(("WT XT0-TIME;BG", "WT XT0-TIME;CD XC", "WT XT0-TIME;CD ,")) for line in waits[1:])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,34 @@
+"""What one model of the family can do: registers, records, arrays. Another model is another `Model`."""
+
+from dataclasses import dataclass
+
+SPEED_UNIT = 1024.0  # register units per count/sample (L10032, L10619)
+RAMP_UNIT = 1024.0 * 1024.0  # register units per count/sample² (L2293)
+# Interval and increment 0 leave contour mode (L4274).
+LEAVE_CONTOUR = ("DT 0", "CD 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Steps and bounds of a model's registers and memories, from its manual.
+
+    speed, ramp: counts/s and counts/s² of the registers SP, and AC and DC. record_max: largest increment of a contour
+    record (CD), counts. intervals: smallest and largest exponent of DT; a record lasts 2^n samples.
+    """
+
+    speed_step: int
+    speed_max: int
+    ramp_step: int
+    ramp_max: int
+    record_max: int
+    intervals: tuple[int, int]
+
+
+SMC4000 = Model(
+    speed_step=2,  # L10032
+    speed_max=12_000_000,  # L10063
+    ramp_step=1024,  # L2294
+    ramp_max=67_107_840,  # L2293
+    record_max=32_000,  # L13985; L3463 says 32767: what both allow
+    intervals=(1, 8),  # L4278
+)
