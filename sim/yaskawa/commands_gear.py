@@ -14,7 +14,6 @@ from sim.yaskawa.registry import Outcome, Runner, command
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
-    from sim.yaskawa.motion import MotionControl
 
 
 def select_master(machine: "Machine", axis: Axis, source: str) -> None:
@@ -124,28 +123,17 @@ def _cam_enable(text: str) -> Runner:
                 raise CommandError(102)
             if cam.cycle > (cam.points - 1) * cam.interval:
                 raise CommandError(103)
-            modularise(motion, cam.cycle)
+            motion.camming.modularise(cam.cycle)
         else:
             now = c.machine.timebase.next_sample()
             for name in tuple(cam.followers):
-                motion.disengage(motion.axes[name], now)
+                motion.camming.disengage(motion.axes[name], now)
             cam.waiting.clear()
-            modularise(motion, 0)
+            motion.camming.modularise(0)
         cam.enabled = bool(wanted)
         return None
 
     return run
-
-
-def modularise(motion: "MotionControl", cycle: int) -> None:
-    """The master axis is reported within its cycle (0: no more); an auxiliary encoder is not."""
-    master = motion.axes.get(motion.cam.master or "")
-    if master is None:
-        return
-    if motion.figures.cycles_by_turns:
-        master.turned = (lambda: cycle * motion.turns()) if cycle else None
-    else:
-        master.modulus = cycle
 
 
 @command("EC")
@@ -237,6 +225,7 @@ def engagement(op: str) -> Callable[[str], Runner]:
 
         def run(c: Context) -> Outcome:
             motion, cam = c.machine.motion, c.machine.motion.cam
+            camming = motion.camming
             at = c.machine.timebase.next_sample()
             if not cam.enabled or cam.master is None:
                 raise CommandError(105)
@@ -255,14 +244,14 @@ def engagement(op: str) -> Callable[[str], Runner]:
                         if not motion.figures.cycles_by_turns:
                             cam.waiting.pop((axis.name, "EQ" if op == "EG" else "EG"), None)
                         cam.waiting[axis.name, op] = place
-                        here = motion.cam_master(at)
+                        here = motion.camming.master(at)
                         if (here - place) % cam.cycle == 0:
                             del cam.waiting[axis.name, op]
-                            (motion.engage if op == "EG" else motion.disengage)(axis, at)
+                            (camming.engage if op == "EG" else camming.disengage)(axis, at)
                     elif op == "EG":
-                        motion.engage(axis, at)
+                        camming.engage(axis, at)
                     elif axis.mode == "cam":
-                        motion.disengage(axis, at)
+                        camming.disengage(axis, at)
             return None
 
         return run

@@ -7,6 +7,7 @@ from sim.core.controller import LimitSwitch, Motion
 from sim.yaskawa import fixed
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.cam import Cam
+from sim.yaskawa.camming import Camming
 from sim.yaskawa.contour import Contour, Record
 from sim.yaskawa.coordinated import Coordinated
 from sim.yaskawa.errors import CommandError
@@ -44,6 +45,7 @@ class MotionControl:
         self.motions: list[Motion] = []
         self.homing = Homing(self, figures.home_speed)
         self.coordinated = Coordinated(self)
+        self.camming = Camming(self)
         self.abort_input = False
 
     # What moves
@@ -191,7 +193,7 @@ class MotionControl:
         if axis.mode == "contour":
             self._stop_contour(at, code)
         elif axis.mode == "cam":
-            self.disengage(axis, at)
+            self.camming.disengage(axis, at)
         elif axis.moving and not axis.stopping:
             axis.stopping, axis.ending_code = True, code
             self._note_slowing(axis, at)
@@ -353,20 +355,7 @@ class MotionControl:
                 if limit and abs(axis.error(now)) > limit:
                     self.off_on_error(axis, now)
                     changed = True
-        waiting = dict(self.cam.waiting)
-        for (name, what), place in waiting.items():
-            if what == "EQ" and (name, "EG") in waiting:
-                continue
-            before, here = (self.cam_master(now - 1) - place, self.cam_master(now) - place)
-            cycle = self.cam.cycle or inf
-            if before // cycle != here // cycle or here == 0 or (cycle == inf and (before < 0) != (here < 0)):
-                del self.cam.waiting[name, what]
-                changed = True
-                if what == "EG":
-                    self.engage(self.axes[name], now)
-                else:
-                    self.disengage(self.axes[name], now)
-        return changed
+        return self.camming.poll(now) or changed
 
     def off_on_error(self, axis: Axis, now: int) -> None:
         """`OE`: the amplifier goes off, the motion of the axis ends there (D47)."""
@@ -401,48 +390,7 @@ class MotionControl:
         positions = tuple(self.axes[name].path.position(now) for name in axes)
         self.contour = Contour(axes, now, positions)
 
-    # Cam
-
-    def cam_master(self, at: float) -> float:
-        """Unmodularised position of the cam master."""
-        name = self.cam.master
-        if name is None:
-            return 0.0
-        axis = self.axes[name[-1]]
-        if len(name) > 1:
-            return float(axis.auxiliary)
-        if axis.virtual:
-            return axis.command(at)
-        return axis.frozen if axis.frozen is not None else axis.command(at - axis.lag)
-
-    def turns(self) -> int:
-        """Whole cycles of the cam's master up to now."""
-        return self.cam.turns(self.cam_master(self.timebase.sample()))
-
-    def engage(self, slave: Axis, at: int) -> None:
-        """The slave follows the table from `at` on."""
-        from sim.yaskawa.cam import CamPath
-
-        slave.rest(at, slave.path.position(at))
-        slave.path, slave.profile = CamPath(self.cam, slave.name, self.cam_master), None
-        slave.mode = "cam"
-        cycle = self.cam.cycles.get(slave.name, 0)
-        if self.figures.cycles_by_turns:
-            slave.turned = lambda: cycle * self.turns()
-        else:
-            slave.modulus = cycle
-        self.cam.followers.add(slave.name)
-        master = self.axes.get(self.cam.master or "")
-        if master is not None and master.moving:
-            self.note_start(slave, at)
-
-    def disengage(self, slave: Axis, at: int) -> None:
-        """The slave stands where it is."""
-        position = slave.reported(fixed.rounded(slave.path.position(at)))
-        slave.rest(at, position)
-        slave.modulus, slave.turned = 0, None
-        self.cam.followers.discard(slave.name)
-        self.note_end(slave, at)
+    # Gearing
 
     def set_gear_ratio(self, axis: Axis, ratio: float, at: int) -> None:
         """`GR`: takes effect at once; a slave of a moving master begins or ends its motion."""
