@@ -4,23 +4,27 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 
 from adapters.condition import Condition
-from adapters.contract import Driver, DriverFault
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
-from orchestrator.link.base import LinkClosed
+from adapters.contract import Driver
+from adapters.settling import Settling
+from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.model.fleet import Axis, Brake
-
-LOOK_NS = 50 * NS_PER_MS
 
 
 class Motors:
     """The motors of one controller. refresh: read and publish at once."""
 
     def __init__(
-        self, driver: Driver, clock: Clock, condition: Condition, refresh: Callable[[], Awaitable[None]]
+        self,
+        driver: Driver,
+        clock: Clock,
+        condition: Condition,
+        settling: Settling,
+        refresh: Callable[[], Awaitable[None]],
     ) -> None:
         self._driver = driver
         self._clock = clock
         self._condition = condition
+        self._settling = settling
         self._refresh = refresh
         self._turn = asyncio.Lock()
 
@@ -53,21 +57,11 @@ class Motors:
         """Once everything is at rest, switch off the motors that shall not hold after an e-stop."""
         config = self._condition.config
         letting_go = [name for name, axis in config.axes.items() if axis.on_estop == "disable"]
-        until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns + NS_PER_S
-        while letting_go and self._clock.now_ns() < until_ns:
-            reading = self._condition.reading
-            if reading is None:
-                return
-            if not any(reading.axes[name].moving for name in letting_go):
-                on = [name for name in letting_go if reading.axes[name].enabled]
-                if on:
-                    await self.switch(on, False)
-                return
-            await sleep_ns(self._clock, LOOK_NS)
-            try:
-                await self._refresh()
-            except (DriverFault, LinkClosed):
-                return  # the unit's own supervision of the link says what is wrong
+        stop_ns = self._driver.capabilities.costs.stop_ns + NS_PER_S
+        if letting_go and await self._settling.rest(letting_go, stop_ns):
+            on = [name for name in letting_go if self._condition.online().axes[name].enabled]
+            if on:
+                await self.switch(on, False)
 
     def _brakes(self, axes: Sequence[str]) -> dict[str, Brake]:
         configs: dict[str, Axis] = self._condition.config.axes

@@ -5,11 +5,10 @@ from collections.abc import Awaitable, Callable, Sequence
 
 from adapters.condition import Condition
 from adapters.contract import CannotDo, Driver, Reading
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from adapters.settling import Settling
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.messages import HomeReply
 from orchestrator.model.state import EventKind
-
-LOOK_NS = 50 * NS_PER_MS
 
 
 class Referencing:
@@ -18,13 +17,13 @@ class Referencing:
     def __init__(
         self,
         driver: Driver,
-        clock: Clock,
+        settling: Settling,
         condition: Condition,
         emit: Callable[[EventKind, str], None],
         refresh: Callable[[], Awaitable[None]],
     ) -> None:
         self._driver = driver
-        self._clock = clock
+        self._settling = settling
         self._condition = condition
         self._emit = emit
         self._refresh = refresh
@@ -71,20 +70,11 @@ class Referencing:
         except TimeoutError:
             left = [name for name in axes if name in self._condition.homing]
             await self._driver.stop(False)
-            await self._come_to_rest(axes)
+            # Nobody may begin with anything else while these still slow down.
+            await self._settling.rest(axes, self._driver.capabilities.costs.stop_ns + NS_PER_S)
             text = f"no reference found within {longest_s:g} s"
             remedy = "look at the home switch, or allow more time (homing.timeout_s)"
             return {name: CannotDo("homing-timeout", f"axis {name}: {text}", remedy) for name in left}
-
-    async def _come_to_rest(self, axes: Sequence[str]) -> None:
-        """Nobody may begin with anything else while these still slow down."""
-        until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns + NS_PER_S
-        while self._clock.now_ns() < until_ns:
-            await self._refresh()
-            reading = self._condition.reading
-            if reading is None or not any(reading.axes[name].moving for name in axes):
-                return
-            await sleep_ns(self._clock, LOOK_NS)
 
     def look(self, reading: Reading) -> list[str]:
         """A poll: axes that have lost their position just now are not referenced any more."""

@@ -1,4 +1,4 @@
-"""Following and settling: how far axes are from where they are commanded to be, and when they have come to it."""
+"""Following, settling, rest: how far axes are from where they are commanded to be, and when they have come to it."""
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +9,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.state import Fault
 
 LOOK_NS = 10 * NS_PER_MS
+REST_LOOK_NS = 50 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,19 @@ class Settling:
                 remedy = "look for what holds it; then disable and enable it, which takes it as it stands"
                 found.append(Fault(code="following-error", text=text, remedy=remedy, axis=name))
         return found
+
+    async def rest(self, axes: Sequence[str], within_ns: int) -> bool:
+        """Wait until none of `axes` moves; whether that was within `within_ns`, and the controller could be read."""
+        until_ns = self._clock.now_ns() + within_ns
+        while self._clock.now_ns() < until_ns:
+            await self._refresh()
+            reading = self._condition.reading
+            if reading is None:
+                return False
+            if not any(reading.axes[name].moving for name in axes):
+                return True
+            await sleep_ns(self._clock, REST_LOOK_NS)
+        return False
 
     async def wait(self, axes: Sequence[str]) -> Settled:
         """After the ends of the profiles of `axes`: until those with `done: in_position` are in their windows."""

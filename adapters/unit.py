@@ -64,8 +64,8 @@ class Unit:
             seat, self._fence, remembered, condition, lambda: self._member.ticket, lambda: self._leases.holders
         )
         self._jogging = Jogging(driver, seat.clock, condition, self._spawn, self.poke)
-        self._motors = Motors(driver, seat.clock, condition, self.refresh)
-        self._referencing = Referencing(driver, seat.clock, condition, self._presenter.emit, self.refresh)
+        self._motors = Motors(driver, seat.clock, condition, self._settling, self.refresh)
+        self._referencing = Referencing(driver, self._settling, condition, self._presenter.emit, self.refresh)
         parts = Parts(
             fence=self._fence,
             remembered=remembered,
