@@ -9,7 +9,7 @@ Everything common to all makes (the bus, polling, fencing, limits, the e-stop la
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from pydantic import BaseModel
 
@@ -172,7 +172,8 @@ class Firer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a driver is given. options: validated by the make's own model."""
+    """What a driver is given. options: validated by the make's own model. shared: one mapping for all drivers whose
+    controllers are on the same link, where the make's package keeps what they have in common."""
 
     controller: str
     config: Controller
@@ -180,6 +181,7 @@ class Setup:
     clock: Clock
     open_link: OpenLink
     firer: Firer
+    shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 class Driver(ABC):

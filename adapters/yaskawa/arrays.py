@@ -5,10 +5,10 @@ from contextlib import suppress
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.program import TAIL, array
-from adapters.yaskawa.record import AXIS_LETTERS
+from adapters.yaskawa.record import RECORD_LETTERS
 from adapters.yaskawa.session import MAX_PACKET, Refused, Session
 
-NAMES = (*(array(index) for index in range(len(AXIS_LETTERS))), TAIL)
+NAMES = (*(array(index) for index in range(len(RECORD_LETTERS))), TAIL)
 ALLOCATING = len(NAMES) + 1  # exchanges
 UP = 250  # elements asked back at once
 FORMAT = 5  # digits of an element that is read back (PF)

@@ -237,8 +237,12 @@ class Device:
 
     def stop(self, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""
-        self._stops_given = [given + 1 for given in self._stops_given]
+        self._count_stop()
         self._write_past(*stop_commands(abort))
+
+    def _count_stop(self) -> None:
+        """All axes are stopped."""
+        self._stops_given = [given + 1 for given in self._stops_given]
 
     def _write_past(self, *commands: str) -> None:
         """By the handle for stops, past everything that is under way on the other one."""

@@ -14,7 +14,7 @@ from typing import Literal
 from adapters.contract import CannotDo, Lowered
 from adapters.yaskawa import arrays
 from adapters.yaskawa.contour import Contour, Room, fit_contour, increments, least_interval
-from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
+from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
 from adapters.yaskawa.registers import exact_ramp
@@ -147,6 +147,7 @@ def lower_moves(
     profiles: Mapping[str, Profile],
     start: Literal["auto", "clock", "host"],
     mapping: TickMapping | None,
+    model: Model = SMC4000,
 ) -> LoweredMoves:
     """Pure. motors: index of each axis. Raises `CannotDo` naming the axis and what would fit."""
     if start == "host":
@@ -164,13 +165,13 @@ def lower_moves(
         for scale in [float(config.axes[axis].scale)]
     }
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
-    shapes, why = _by_registers(way, bounds, tick_ns)
+    shapes, why = _by_registers(way, bounds, tick_ns, model)
     load: Registers | Records
     if shapes is not None and not why:
         load = _registers(shapes, way, motors)
     else:
         try:
-            load = _by_contour(way, motors, bounds, options, tick_ns, why)
+            load = _by_contour(way, motors, bounds, options, tick_ns, why, model)
         except CannotDo:
             if shapes is None:
                 raise
@@ -179,13 +180,13 @@ def lower_moves(
 
 
 def _by_registers(
-    way: Mapping[str, Profile], bounds: Mapping[str, Bounds], tick_ns: float
+    way: Mapping[str, Profile], bounds: Mapping[str, Bounds], tick_ns: float, model: Model
 ) -> tuple[dict[str, Trapezoid] | None, str]:
     """The trapezoids, None where an axis's profile is none; and why they should rather be a contour, or nothing."""
     shapes: dict[str, Trapezoid] = {}
     for axis, profile in way.items():
         try:
-            shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, SMC4000)
+            shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model)
         except CannotDo as refusal:
             if refusal.refusal.code != "shape":
                 raise
@@ -218,12 +219,19 @@ def _by_contour(
     options: Options,
     tick_ns: float,
     why: str,
+    model: Model,
 ) -> Records:
+    if not model.contours:
+        raise CannotDo(
+            "order",
+            f"axis {next(iter(way))}: the profile is no trapezoid; contours are not loaded into this controller",
+            "leave `jerk` out of its limits, and move it from standstill to standstill",
+        )
     loop_ns = (LOOP_COMMANDS + HOST_COMMANDS) * LOOP_SPREAD * options.decode_us * NS_PER_US
     room = Room(
-        options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, SMC4000), options.contour_sag_counts
+        options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, model), options.contour_sag_counts
     )
-    contour = fit_contour(way, tick_ns, room, SMC4000)
+    contour = fit_contour(way, tick_ns, room, model)
     return Records(
         contour,
         {motors[axis]: profile for axis, profile in way.items()},

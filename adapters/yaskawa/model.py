@@ -13,7 +13,8 @@ class Model:
     """Steps and bounds of a model's registers and memories, from its manual.
 
     speed, ramp: counts/s and counts/s² of the registers SP, and AC and DC. record_max: largest increment of a contour
-    record (CD), counts. intervals: smallest and largest exponent of DT; a record lasts 2^n samples.
+    record (CD), counts. intervals: smallest and largest exponent of DT; a record lasts 2^n samples. contours: whether
+    the adapter loads any.
     """
 
     speed_step: int
@@ -22,6 +23,7 @@ class Model:
     ramp_max: int
     record_max: int
     intervals: tuple[int, int]
+    contours: bool = True
 
 
 SMC4000 = Model(
@@ -31,4 +33,16 @@ SMC4000 = Model(
     ramp_max=67_107_840,  # L2293
     record_max=32_000,  # L13985; L3463 says 32767: what both allow
     intervals=(1, 8),  # L4278
+)
+
+# The lines are those of the SMC-2000's manual.
+SMC2000 = Model(
+    speed_step=2,  # L13960
+    speed_max=8_000_000,  # L11552
+    ramp_step=1024,  # L6846
+    ramp_max=67_107_840,  # L6851
+    record_max=32_762,  # L7736; L2595 says 32767
+    intervals=(1, 8),  # L8328
+    # A second of one axis takes as long to upload at 19200 baud as it lasts.
+    contours=False,
 )

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from adapters.contract import DriverFault
 
-AXIS_LETTERS = "XYZW"
-RECORD_LETTERS = "ABCD"  # the same axes, as QR names them
+AXIS_LETTERS = "XYZWEFGH"  # the SMC-4000 has the first four, an SMC-2000 up to eight
+RECORD_LETTERS = "ABCD"  # the first four, as QR names them
 
 _GENERAL = "H10s10sBB"  # sample number, inputs, outputs, error code, general status
 _AXIS = "HBBiiiiih"  # status, switches, stop code, reference, motor, error, auxiliary, velocity, torque

@@ -44,6 +44,7 @@ from orchestrator.model.fleet import Controller, TcpLink
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
+AXES = 4
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 20
 DISARM_EXCHANGES = 7
@@ -65,7 +66,7 @@ def motor_indices(config: Controller) -> dict[str, int]:
     motors: dict[str, int] = {}
     for name, axis in config.axes.items():
         letter = axis.motors[0]
-        index = max(AXIS_LETTERS.find(letter), RECORD_LETTERS.find(letter)) if len(letter) == 1 else -1
+        index = max(AXIS_LETTERS[:AXES].find(letter), RECORD_LETTERS.find(letter)) if len(letter) == 1 else -1
         if index < 0:
             raise ValueError(f"axes.{name}.motors: there is no motor {letter!r}; motors are X, Y, Z, W (or A, B, C, D)")
         if index in motors.values():

@@ -39,10 +39,13 @@ class SerialLink(Model):
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rtscts: bool = Field(default=False, description="Hardware handshake by RTS and CTS.")
+    unit: int | None = Field(
+        default=None, ge=0, le=255, description="Address of the controller, where several share the port."
+    )
 
     @property
     def place(self) -> str:
-        """What two controllers can not share."""
+        """What two controllers can not share, unless their make can and they have addresses."""
         return f"serial {self.device}"
 
 

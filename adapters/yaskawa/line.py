@@ -1,0 +1,103 @@
+"""A serial port with one controller behind it, or with a daisy chain of them: opened once, spoken to in turns.
+
+Everything that the units of a chain have in common is here: the open link, whose turn it is, and which unit hears what
+is written (%A, L945). A stop goes past all turns: each command is written as a whole, so that it always begins at the
+beginning of a line, and whatever is under way finds out by `stops` that it has been disturbed.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from orchestrator.link.base import Link, LinkClosed, OpenLink
+
+SHARED = "yaskawa serial line"
+"""Where the drivers of one line find it in `Setup.shared`."""
+
+
+@dataclass(slots=True)
+class Ahead:
+    """A poll that was written before its turn, while the reply before it was still on its way to us."""
+
+    unit: int | None
+    sent_ns: int
+
+
+class Line:
+    """One port. Made before any loop runs; every unit of the line joins it when its driver is built.
+
+    selected: the unit that hears commands; None: nobody knows. in_step: every byte that was asked for has come.
+    stops: how many stops were written so far. loading: what is written now is taken as a program's text.
+    """
+
+    def __init__(self) -> None:
+        self.turn = asyncio.Lock()
+        self.units: list[int | None] = []
+        self.selected: int | None = None
+        self.in_step = False
+        self.stops = 0
+        self.loading = False
+        self.answered = False
+        """Somebody has answered since the port was opened."""
+        self.ahead: Ahead | None = None
+        self.waiting: deque[int | None] = deque()
+        """Who waits for a turn, in order: units that wait to poll; OTHERS for anything else."""
+        self._opening = asyncio.Lock()
+        self._link: Link | None = None
+        self._users: set[int | None] = set()
+        self._markers = 0
+
+    @property
+    def chained(self) -> bool:
+        """Whether commands need an address."""
+        return self.units != [None]
+
+    async def attach(self, unit: int | None, open_link: OpenLink) -> Link:
+        """The open port; opened if nobody else has. Raises `LinkRefused`."""
+        async with self._opening:
+            if self._link is None:
+                self._link = await open_link()
+                self.selected, self.in_step, self.ahead, self.loading, self.answered = None, False, None, False, False
+            self._users.add(unit)
+            return self._link
+
+    async def detach(self, unit: int | None) -> None:
+        """A unit is left; the port is closed after the last one."""
+        async with self._opening:
+            self._users.discard(unit)
+            if not self._users and self._link is not None:
+                link, self._link = self._link, None
+                await link.close()
+
+    def lost(self, link: Link) -> None:
+        """`link` is closed: whoever comes next opens a new one."""
+        if self._link is link:
+            self._link = None
+
+    def out_of_step(self) -> None:
+        """Bytes may be under way that nobody waits for, and nobody knows who listens."""
+        self.in_step, self.selected, self.ahead = False, None, None
+
+    def marker(self) -> str:
+        """A text that no reply before it can hold."""
+        self._markers += 1
+        return f"<{self._markers}>"
+
+    def shout(self, link: Link, unit: int | None, commands: Iterable[str]) -> None:
+        """Write commands to a unit at once, past everything that is under way. Raises `LinkClosed`."""
+        self.stops += 1
+        # In the middle of a download commands would be program text, and a backslash ends it (L8205).
+        ended = "\\\r" if self.loading else ""
+        text = ended + address(unit) + "".join(f"{command}\r" for command in commands)
+        self.out_of_step()
+        try:
+            link.write(text.encode("ascii"))
+        except LinkClosed:
+            self.lost(link)
+            raise
+
+
+def address(unit: int | None) -> str:
+    """What makes a unit of a chain listen, and all others not (L945)."""
+    return "" if unit is None else f"%{unit}\r"

@@ -1,0 +1,268 @@
+"""An SMC-2000 behind a serial line: reached, identified, given its resident program, read in one printed line."""
+
+from collections.abc import Iterable, Sequence
+
+from adapters.contract import DriverFault, Identity
+from adapters.yaskawa import smc2000_program
+from adapters.yaskawa.device import Device
+from adapters.yaskawa.line import Line
+from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD
+from adapters.yaskawa.record import MOTOR_OFF, MOVING, OFF_ON_ERROR, STOPPING, VELOCITY_SCALE, AxisRecord, Record
+from adapters.yaskawa.serial_session import ADDRESS, SerialSession
+from adapters.yaskawa.session import Refused
+from adapters.yaskawa.smc2000_options import Smc2000Options
+from adapters.yaskawa.smc2000_program import AXIS_VALUES
+from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock, sleep_until_ns
+from orchestrator.link.base import LinkClosed, OpenLink
+
+THREADS = 4  # L3405
+LISTING_CHARACTERS = 5000  # a program may be so long; a controller need not send it as it reads it
+REVISION = "\x12\x16"  # control R control V (L13320); takes effect without a carriage return
+STOPPING_CODES = (2, 3, 4)  # of SC: by a limit or ST, while it still decelerates (L11427-11493)
+
+# Bits of TS (L12128-12165)
+TS_MOVING = 1 << 7
+TS_MOTOR_OFF = 1 << 5
+SWITCHES = 1 << 3 | 1 << 2  # forward, reverse; 1 = inactive, whatever CN says
+
+
+class SerialDevice(Device):
+    """One controller of a serial line. axes: indices of its motors; inputs, outputs: words of them that are polled."""
+
+    def __init__(
+        self,
+        line: Line,
+        unit: int | None,
+        clock: Clock,
+        open_link: OpenLink,
+        options: Smc2000Options,
+        axes: Sequence[int],
+        inputs: int,
+        outputs: int,
+    ) -> None:
+        super().__init__(clock, open_link, options, max(axes) + 1)
+        self._serial_options = options
+        self._line = line
+        self._unit = unit
+        self._axes = sorted(axes)
+        self._inputs = inputs
+        self._outputs = outputs
+        self._talk: SerialSession | None = None
+        self._before: tuple[int, dict[int, int]] | None = None
+        """Sample and positions of the last line."""
+        self._quiet = (0, 0)
+        line.units.append(unit)
+
+    # Reaching it
+
+    async def connect(self) -> Identity:
+        await self.close()
+        options = self._serial_options
+        link = await self._line.attach(self._unit, self._open_link)
+        self._before, self._quiet = None, (0, 0)
+        session = self._talk = SerialSession(
+            self._line,
+            link,
+            self._clock,
+            self._unit,
+            options.timeout_s,
+            options.hold_us * NS_PER_US,
+            options.baud_tolerance,
+        )
+        revision = " ".join(await session.ask_all(REVISION))
+        present = len((await session.ask("RP")).lines[0].split(","))
+        if present < self._axes_needed:
+            letter = smc2000_program.LETTERS[self._axes_needed - 1]
+            raise DriverFault(
+                "config-mismatch",
+                f"the fleet file uses motor {letter}; the controller has {present} axes",
+                "correct `motors`, or `unit` of the link, in the fleet file",
+            )
+        await self._install()
+        (serial,), _ = await session.numbers("_BN")
+        await self._read_time()
+        model, _, firmware = revision.partition(" ")
+        return Identity(model=model, firmware=firmware or revision, serial=str(int(serial)))
+
+    async def close(self) -> None:
+        self._talk = None
+        await self._line.detach(self._unit)
+
+    async def _install(self) -> None:
+        session, chained = self.session, self._unit is not None
+        wanted = smc2000_program.program(self._axes, chained, self._inputs, self._outputs)
+        if await self._listing() == list(wanted):
+            # Ours may still wait for a start that nobody will release any more.
+            await self.unload()
+        else:
+            await self._require_no_other()
+            try:
+                await session.download(wanted)
+                held = await self._listing()
+            except Refused as refusal:
+                raise DriverFault(
+                    "program-refused",
+                    f"the controller does not take its program: {refusal}",
+                    "is its program memory locked (LC)?",
+                ) from None
+            if held != list(wanted):
+                raise DriverFault(
+                    "program-differs", "the program read back is not the one sent", "check the cable; it is tried again"
+                )
+        for name in smc2000_program.variables(self._axes):
+            await session.tell(f"{name}=0")
+        if chained:
+            await session.tell(f"{ADDRESS}={self._unit}")
+            session.know_address()
+
+    async def unload(self) -> None:
+        for thread in (STEP_THREAD, DOG_THREAD):
+            await self.session.tell(f"HX{thread}")
+
+    async def _listing(self) -> list[str]:
+        try:
+            return [line.rstrip() for line in await self.session.ask_all("UL", LISTING_CHARACTERS)]
+        except Refused as refusal:
+            raise DriverFault(
+                "program-refused", f"the controller does not show its program: {refusal}", "unlock it (LC password,0)"
+            ) from None
+
+    async def _require_no_other(self) -> None:
+        running, _ = await self.session.numbers(*(f"_HX{thread}" for thread in range(THREADS)))
+        threads = [str(thread) for thread, state in enumerate(running) if state]
+        if threads:
+            raise DriverFault(
+                "other-program",
+                f"another program runs in the controller (thread {', '.join(threads)})",
+                "stop it with HX, and its #AUTO start with it, if this controller belongs to the fleet",
+            )
+        present = await self._listing()
+        if present and not self._serial_options.replace_program:
+            raise DriverFault(
+                "other-program",
+                f"the controller holds another program of {len(present)} lines, and may not be given ours",
+                "save it, then set `replace_program: true` in the controller's options",
+            )
+
+    # Talking
+
+    @property
+    def session(self) -> SerialSession:
+        if self._talk is None:
+            raise LinkClosed("the controller is not connected")
+        return self._talk
+
+    def keep_quiet(self, from_ns: int, until_ns: int) -> None:
+        """Begin no poll in this time: printing would take the interpreter from a program that is about to start."""
+        self._quiet = (from_ns, until_ns)
+
+    async def record(self) -> Record:
+        record, _ = await self._read_record()
+        return record
+
+    async def poll(self) -> tuple[Record, bool]:
+        record, went_on = await self._read_record()
+        if not went_on:
+            self._restarted = True
+            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+        restarted, self._restarted = self._restarted, False
+        return record, restarted
+
+    async def _read_record(self) -> tuple[Record, bool]:
+        while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
+            await sleep_until_ns(self._clock, self._quiet[1])
+        chained = self._unit is not None
+        before = len(smc2000_program.head(chained, self._inputs, self._outputs))
+        count = before + AXIS_VALUES * len(self._axes)
+        try:
+            status = await self.session.status(smc2000_program.POLL, count)
+        except Refused:
+            self._restarted |= not await self._read_time()
+            raise LinkClosed("its program has gone; the controller is connected again from the beginning") from None
+        values = status.values
+        if chained:
+            if values[0] != self._unit:
+                raise DriverFault(
+                    "garbage",
+                    f"unit {self._unit} was asked, and unit {values[0]} answers",
+                    "check the cable of the chain",
+                )
+            values = values[1:]
+            before -= 1
+        # Two commands were carried out before the counter was read: XQ, and MG of the program.
+        went_on = self.samples.take_whole(
+            self._earliest_ns(self._earliest_ns(status.sent_ns)), status.received_ns, values[0]
+        )
+        words = values[1:before]
+        inputs = _joined(words[: self._inputs], smc2000_program.INPUTS_OF_WORD)
+        outputs = _joined(words[self._inputs :], smc2000_program.OUTPUTS_OF_WORD)
+        return Record(
+            sample=values[0],
+            inputs=inputs,
+            outputs=outputs,
+            program_runs=False,
+            axes=self._axis_records(values[0], values[before:]),
+            sent_ns=status.sent_ns,
+            received_ns=status.heard_ns,
+        ), went_on
+
+    def _axis_records(self, ticks: int, values: Sequence[int]) -> tuple[AxisRecord, ...]:
+        records = [_NOTHING] * (self._axes[-1] + 1)
+        before, positions = self._before, dict[int, int]()
+        for number, index in enumerate(self._axes):
+            commanded, error, byte, code = values[AXIS_VALUES * number : AXIS_VALUES * (number + 1)]
+            positions[index] = commanded - error
+            # TV would average over a quarter of a second (L12193), and be printed, too.
+            velocity = 0.0
+            if before is not None and ticks > before[0]:
+                way = positions[index] - before[1][index]
+                velocity = way / ((ticks - before[0]) * self.samples.tick_ns) * NS_PER_S
+            records[index] = AxisRecord(
+                status=_status(byte, code),
+                switches=byte & SWITCHES,
+                stop_code=code,
+                commanded=commanded,
+                actual=positions[index],
+                error=error,
+                auxiliary=0,
+                velocity=round(velocity * VELOCITY_SCALE),
+                torque=0,
+            )
+        self._before = (ticks, positions)
+        return tuple(records)
+
+    # Stopping
+
+    def stop(self, abort: bool) -> None:
+        self._count_stop()
+        self._write_past(*stop_commands(abort))
+
+    def _write_past(self, *commands: str) -> None:
+        self.session.shout(*commands)
+
+
+def stop_commands(abort: bool) -> tuple[str, ...]:
+    """What stops all axes and keeps the waiting program from starting any.
+
+    ST without letters stops all motion, and programs too (L11610-11613); HX halts all threads whether it does or not
+    (L9205). AB stops motion at once, and programs (L6768).
+    """
+    return ("AB", "HX") if abort else ("ST", "HX", "ST")
+
+
+_NOTHING = AxisRecord(0, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def _joined(words: Iterable[int], size: int) -> int:
+    return sum(word << size * number for number, word in enumerate(words))
+
+
+def _status(byte: int, code: int) -> int:
+    """The switch byte (TS) and the stop code in the terms of the SMC-4000's record."""
+    moving = bool(byte & TS_MOVING)
+    return (
+        (MOVING if moving else 0)
+        | (STOPPING if moving and code in STOPPING_CODES else 0)
+        | (MOTOR_OFF if byte & TS_MOTOR_OFF else 0)
+        | (OFF_ON_ERROR if byte & TS_MOTOR_OFF and code == 8 else 0)
+    )

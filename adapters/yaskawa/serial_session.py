@@ -1,0 +1,413 @@
+"""Exchanges with one unit of a serial line: its turn, its address, its reply, and how they find together again.
+
+A reply is what it is on the SMC-4000: data lines ended by CR LF, and a prompt (L1003-1007). What programs print has the
+highest bit of every character set (CW 1, L8062-8088), so that it can not be taken for a reply. There is no checksum and
+no number on a reply, so one command is under way at a time; after a disturbance everything up to the text of a new
+marker is thrown away. A unit of a chain is asked for its own address before it is told anything that changes something.
+"""
+
+import asyncio
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.yaskawa.line import Line, address
+from adapters.yaskawa.serial_replies import parse
+from adapters.yaskawa.session import Answer, Refused, Session, parse_numbers
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.link.base import Link, LinkClosed
+
+T = TypeVar("T")
+
+MAX_LINE = 80  # characters (L13982)
+ADDRESS = "XUN"
+"""The variable in which a unit of a chain keeps its address."""
+OTHERS = -1
+"""In `Line.waiting`: somebody who does not poll."""
+
+# Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), what programs print marked (CW), no echo.
+_SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
+_TRIES = 2
+_REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
+_PREDICTION_ROOM = 2  # characters by which a poll's reply may be longer than the last one
+_MARK = 0x80
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A line that the controller's program has printed on request. sent_ns, received_ns: the host instants between
+    which its first value was read; heard_ns: when all of it had come."""
+
+    values: list[int]
+    sent_ns: int
+    received_ns: int
+    heard_ns: int
+
+
+class SerialSession(Session):
+    """The exchanges of one unit. unit: its address in a chain, None for a controller alone on its line.
+
+    hold_ns: how long a serial adapter may keep received bytes. tolerance: how far a baud rate may be off, relative.
+    """
+
+    def __init__(
+        self, line: Line, link: Link, clock: Clock, unit: int | None, silence_s: float, hold_ns: int, tolerance: float
+    ) -> None:
+        super().__init__(link, silence_s)
+        self._line = line
+        self._clock = clock
+        self._unit = unit
+        self._silence_ns = round(silence_s * NS_PER_S) + hold_ns
+        self._hold_ns = hold_ns
+        self._least_char_ns = link.char_ns * (1 - tolerance)
+        self._plain = bytearray()
+        self._marked = bytearray()
+        self._settled = False
+        self._known = False
+        self._length = 0
+        """Of the last status line, characters; 0: none yet."""
+
+    # What others ask for
+
+    async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
+        await self.ask(command, 0, still)
+
+    async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
+        found, answer = await self._told(command, still)
+        if len(found) < lines:
+            self._line.out_of_step()
+            raise self._garbage(command, f"{lines} lines", repr(found))
+        return Answer(found[len(found) - lines :], b"", answer.sent_ns, answer.received_ns)
+
+    async def ask_all(self, command: str, characters: int = 0) -> list[str]:
+        """A command whose reply has any number of data lines. characters: what it may take before anything comes."""
+        return (await self._told(command, None, characters))[0]
+
+    async def numbers(self, *operands: str) -> tuple[list[float], Answer]:
+        """The values of operands, read in one command, in the whole numbers that VF gives (L4936)."""
+        shown = (f"{operand}{{F2.4}}" if operand[:3] in ("_IT", "_MT") else operand for operand in operands)
+        command = "MG " + ',",",'.join(shown)
+        answer = await self.ask(command)
+        return parse_numbers(answer.lines[0], len(operands), command), answer
+
+    def shout(self, *commands: str) -> None:
+        self._line.shout(self._link, self._unit, commands)
+
+    async def status(self, command: str, count: int) -> Status:
+        """Let a program print its `count` values. Raises `Refused` when there is no such program."""
+        line = self._line
+        for last in (False, True):
+            async with _Turn(line, self._unit):
+                stops = line.stops
+                try:
+                    return await self._poll(command, count)
+                except DriverFault:
+                    line.out_of_step()
+                    if last or line.stops == stops:
+                        raise
+                except LinkClosed:
+                    line.lost(self._link)
+                    raise
+        raise AssertionError  # pragma: no cover
+
+    async def download(self, lines: tuple[str, ...]) -> None:
+        """Replace the program (DL, L8203), line by line, so that a stop never waits behind more than one."""
+        line = self._line
+        async with _Turn(line, OTHERS):
+            await self._turn_to_unit()
+            try:
+                line.in_step, self._settled, line.loading = False, False, True
+                await self._write_slowly("DL")
+                await self._quiet_for(_REFUSED_NS + self._hold_ns, "DL")
+                for text in lines:
+                    stops = line.stops
+                    await self._write_slowly(text)
+                    if line.stops != stops:
+                        raise CannotDo("stopped", "a stop came while its program was loaded", "it is tried again")
+                line.loading = False
+                await self._exchange("\x1a", self._reply)
+            except LinkClosed:
+                line.lost(self._link)
+                raise
+            finally:
+                # Whatever happened, the next exchange ends a download that is still open.
+                line.loading = False
+                line.out_of_step()
+
+    # Inside
+
+    async def _told(
+        self, command: str, still: Callable[[], None] | None, characters: int = 0
+    ) -> tuple[list[str], Answer]:
+        """A command and its reply. What was disturbed by the stop of another unit is said again, unless it begins a
+        motion."""
+        line = self._line
+        for last in (False, True):
+            async with _Turn(line, OTHERS):
+                try:
+                    await self._turn_to_unit()
+                    stops = line.stops
+                    if still is not None:
+                        still()
+                    line.in_step = False
+                    try:
+                        found, answer = await self._asked(command, characters)
+                    except DriverFault:
+                        if last or line.stops == stops or command.startswith("BG"):
+                            raise
+                        line.out_of_step()
+                        continue
+                    line.in_step = line.stops == stops
+                    if not line.in_step:
+                        line.out_of_step()
+                    return found, answer
+                except Refused:
+                    raise
+                except LinkClosed:
+                    line.lost(self._link)
+                    raise
+                except BaseException:
+                    line.out_of_step()
+                    raise
+        raise AssertionError
+
+    async def _asked(self, command: str, characters: int) -> tuple[list[str], Answer]:
+        parsed, sent_ns = await self._exchange(command, self._reply, room=characters)
+        lines, refused = parsed
+        characters = sum(len(each) + 2 for each in lines) + 1
+        answer = Answer(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(characters))
+        if refused:
+            raise await self._why(command)
+        return lines, answer
+
+    async def _why(self, command: str) -> Refused:
+        (lines, refused), _ = await self._exchange("TC1", self._reply)
+        words = lines[-1] if lines and not refused else ""
+        number, _, _ = words.partition(" ")
+        if not number.isdigit():
+            raise self._garbage("TC1", "an error code with its text", repr(words))
+        self._line.in_step = True
+        return Refused(command, int(number), words if int(number) else "no reason given")
+
+    async def _turn_to_unit(self) -> None:
+        """See to it that the unit hears the next command, and that nothing else comes before its reply."""
+        line = self._line
+        if line.ahead is not None:
+            line.out_of_step()
+        if line.in_step and line.selected == self._unit and self._settled:
+            return
+        for left in reversed(range(_TRIES)):
+            stops, line.in_step, line.selected = line.stops, False, None
+            marker = line.marker()
+            asked = f'MG "{marker}",{ADDRESS}' if self._known else f'MG "{marker}"'
+            # A half-typed line is spoiled before it is ended; an operator's entry and a download end (L4812, L8205).
+            opening = "" if self._settled else "\\\r"
+            settings = () if self._settled else _SETTINGS
+            opening += self._addressed(left) + "".join(f"{command}\r" for command in settings)
+            try:
+                said = await self._marked_reply(opening, asked, marker)
+            except DriverFault:
+                self._settled = False
+                if left:
+                    continue
+                raise
+            if line.stops != stops:
+                continue
+            if self._known and said != str(self._unit):
+                self._settled = False
+                if left:
+                    continue
+                raise self._garbage(f"%{self._unit}", f"the unit with address {self._unit}", repr(said))
+            line.in_step, line.selected, self._settled = True, self._unit, True
+            return
+        if not line.in_step:
+            raise CannotDo("stopped", "stops came all the time", "")
+
+    def _addressed(self, left: int) -> str:
+        """A controller alone does not need an address, unless somebody has addressed another one before."""
+        if self._unit is None:
+            return "" if left or self._settled else address(0)
+        return address(self._unit)
+
+    async def _marked_reply(self, opening: str, asked: str, marker: str) -> str:
+        """Throw away everything up to the answer to `asked`; what follows the marker in it."""
+        pattern = re.compile(re.escape(marker.encode()) + rb"([ \-0-9.]*)\r\n:")
+
+        def whole() -> str | None:
+            self._sift()
+            found = pattern.search(self._plain)
+            return None if found is None else found[1].decode().strip()
+
+        said, _ = await self._exchange(asked, whole, opening)
+        return said
+
+    async def _exchange(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, command: str, whole: Callable[[], T | None], opening: str = "", room: int = 0
+    ) -> tuple[T, int]:
+        """Write a command and read until `whole` finds its complete reply; with the instant of writing.
+
+        room: characters that the reply may take before anything comes.
+        """
+        self._plain.clear()
+        self._marked.clear()
+        data = (opening + command + ("\r" if command[:1] >= " " else "")).encode("latin-1")
+        sent_ns = self._link.write(data)
+        quiet_ns = sent_ns + (len(data) + room) * self._link.char_ns
+        return await self._read(command, whole, quiet_ns), sent_ns
+
+    async def _read(self, command: str, whole: Callable[[], T | None], quiet_ns: int) -> T:
+        """Read until `whole` is content. quiet_ns: until then nothing needs to come; then, and between bytes, silence
+        may not last."""
+        while True:
+            found = whole()
+            if found is not None:
+                self._line.answered = True
+                return found
+            left_ns = max(quiet_ns, self._at_ns) + self._silence_ns - self._clock.now_ns()
+            try:
+                async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
+                    received = await self._link.read()
+            except TimeoutError:
+                raise self._silent(command) from None
+            self._plain += received.data
+            self._at_ns = received.at_ns
+
+    def _reply(self) -> tuple[list[str], bool] | None:
+        """The whole reply to a command: its lines, and whether it was refused."""
+        self._sift()
+        parsed = parse(self._plain)
+        if parsed is None:
+            return None
+        del self._plain[: parsed.used]
+        if parsed.echoed:
+            # Only a unit that was reset echoes; it is given its settings again.
+            self._settled = False
+        for line in parsed.lines:
+            if not (line.isascii() and line.isprintable()):
+                raise self._garbage("a command", "text", repr(line[:40]))
+        return parsed.lines, parsed.refused
+
+    def _sift(self) -> None:
+        """Part what programs have printed from replies."""
+        if any(byte & _MARK for byte in self._plain):
+            self._marked += bytes(byte & ~_MARK for byte in self._plain if byte & _MARK)
+            self._plain[:] = bytes(byte for byte in self._plain if not byte & _MARK)
+
+    # Polls
+
+    async def _poll(self, command: str, count: int) -> Status:
+        line, unit = self._line, self._unit
+        ahead, line.ahead = line.ahead, None
+        prefix = ""
+        if ahead is not None and ahead.unit == unit:
+            sent_ns = ahead.sent_ns
+            line.selected = unit
+        else:
+            if ahead is not None:
+                line.out_of_step()
+            if not (line.in_step and self._settled):
+                await self._turn_to_unit()
+            if line.selected != unit:
+                prefix = address(unit)
+            self._plain.clear()
+            self._marked.clear()
+            sent_ns = self._write_poll(prefix + command)
+            line.selected = unit
+        line.in_step = False
+        stops = line.stops
+        written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
+        text = await self._read_ahead(command, written_ns)
+        if line.stops != stops:
+            line.out_of_step()
+        else:
+            line.in_step = True
+        values = [int(value) for value in parse_numbers(text, count, command)]
+        self._length = len(text) + 2
+        emitted_ns = self._emitted_ns(self._length)
+        return Status(values, self._begun_ns(sent_ns, len(command) + 1), emitted_ns, self._at_ns)
+
+    def _write_poll(self, text: str) -> int:
+        return self._link.write(f"{text}\r".encode("ascii"))
+
+    async def _read_ahead(self, command: str, written_ns: int) -> str:
+        return await self._read(command, lambda: self._printed(command), written_ns)
+
+    def _printed(self, command: str) -> str | None:
+        """The line that the program has printed. Raises `Refused` when the command was."""
+        self._sift()
+        end = self._marked.find(b"\r\n")
+        if b"?" in self._plain:
+            self._line.out_of_step()
+            self._settled = False
+            raise Refused(command, 0, "its program is not there any more")
+        if end < 0:
+            return None
+        text = self._marked[:end].decode("ascii")
+        del self._marked[: end + 2]
+        return text
+
+    # Times
+
+    def _begun_ns(self, sent_ns: int, characters: int) -> int:
+        """The earliest instant at which the last of the characters written at `sent_ns` can have arrived."""
+        return sent_ns + round(characters * self._least_char_ns)
+
+    def _emitted_ns(self, characters: int) -> int:
+        """The latest instant at which the first of so many characters, of which the last have just come, was sent."""
+        return self._at_ns - round(characters * self._least_char_ns)
+
+    # Downloads
+
+    async def _write_slowly(self, text: str) -> None:
+        """A line of a program; returns when it is on its way as a whole."""
+        data = text.encode("ascii") + b"\r"
+        self._link.write(data)
+        await self._quiet_for(len(data) * self._link.char_ns, text)
+
+    async def _quiet_for(self, duration_ns: int, text: str) -> None:
+        """A download is silent until its end (L8205): what comes meanwhile is a refusal."""
+        until_ns = self._clock.now_ns() + duration_ns
+        try:
+            while True:
+                async with asyncio.timeout(max(until_ns - self._clock.now_ns(), 0) / NS_PER_S):
+                    received = await self._link.read()
+                if b"?" in received.data:
+                    raise Refused(text, 0, "the program is not taken")
+        except TimeoutError:
+            return
+
+    def know_address(self) -> None:
+        """From now on the unit can be asked for its address."""
+        self._known = self._unit is not None
+
+    def _silent(self, command: str) -> DriverFault:
+        got = f"only {bytes(self._plain + self._marked)!r}" if self._plain or self._marked else "nothing"
+        who = "" if self._unit is None else f" from unit {self._unit}"
+        remedy = "check power and cable; is another program holding the controller's interpreter?"
+        if self._unit is None:
+            remedy += " If it is part of a daisy chain, say `unit` in its link."
+        elif not self._line.answered:
+            remedy = "no unit of the chain answers: is the first one, next to this computer, switched on?"
+        else:
+            remedy += " A unit that is off takes all units behind it off the chain."
+        return DriverFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
+
+
+class _Turn:
+    """`async with`: a turn on the line, with a place in `Line.waiting` until it has come."""
+
+    def __init__(self, line: Line, who: int | None) -> None:
+        self._line = line
+        self._who = who
+
+    async def __aenter__(self) -> None:
+        self._line.waiting.append(self._who)
+        try:
+            await self._line.turn.acquire()
+        finally:
+            self._line.waiting.remove(self._who)
+
+    async def __aexit__(self, *args: object) -> None:
+        self._line.turn.release()

@@ -1,0 +1,353 @@
+"""The SMC-2000: driver, and what the fleet file may say about it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from pydantic import BaseModel, ValidationError
+
+from adapters.contract import (
+    AxisReading,
+    CannotDo,
+    Capabilities,
+    Driver,
+    Identity,
+    JogMove,
+    Lowered,
+    Outcome,
+    Reading,
+    Setup,
+    Span,
+)
+from adapters.yaskawa import homing
+from adapters.yaskawa.jogging import Jogging
+from adapters.yaskawa.line import SHARED, Line
+from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
+from adapters.yaskawa.model import SMC2000
+from adapters.yaskawa.program import GATE_TICKS
+from adapters.yaskawa.record import FORWARD_SWITCH, OFF_ON_ERROR, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord, Record
+from adapters.yaskawa.serial_device import SerialDevice, stop_commands
+from adapters.yaskawa.serial_session import MAX_LINE
+from adapters.yaskawa.settings import configure, load_limits
+from adapters.yaskawa.smc2000_options import Smc2000Options
+from adapters.yaskawa.smc2000_program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
+from adapters.yaskawa.smc2000_start import SerialStart
+from adapters.yaskawa.words import STOP_CODES
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.fleet import Controller, Input, Output, SerialLink
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs, Fault
+
+SECOND_LETTERS = "ABCDEFGH"  # the same axes (L1044-1048)
+UNITS = range(8)  # of a chain (L939)
+INPUTS, OUTPUTS = 24, 16  # of the unit with eight axes (L742, L746)
+STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
+STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L10536)
+
+# For the costs declared: characters of an exchange, out and in, as they are when arming.
+EXCHANGE_CHARACTERS = 36
+POLL_CHARACTERS = 24, 24  # of a poll's line, and more for each axis
+ARM_EXCHANGES = 21
+DISARM_EXCHANGES = 4
+GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
+AFTER_START_NS = 3 * NS_PER_MS  # for the program to note its start
+WAITS_FOR_MORE = ("DL", "QD", "IN")  # after these the controller takes no commands
+
+_LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
+    (False, False): "none",
+    (True, False): "forward",
+    (False, True): "reverse",
+    (True, True): "both",
+}
+
+
+def motor_indices(config: Controller) -> dict[str, int]:
+    """By axis of the fleet file, the index of its motor. Raises `ValueError`."""
+    motors: dict[str, int] = {}
+    for name, axis in config.axes.items():
+        letter = axis.motors[0]
+        index = max(LETTERS.find(letter), SECOND_LETTERS.find(letter)) if len(letter) == 1 else -1
+        if index < 0:
+            raise ValueError(
+                f"axes.{name}.motors: there is no motor {letter!r}; motors are X, Y, Z, W (or A, B, C, D), E, F, G, H"
+            )
+        if index in motors.values():
+            raise ValueError(f"axes.{name}.motors: {letter} is the motor of another axis under its other name")
+        motors[name] = index
+    return motors
+
+
+def _words(points: Mapping[str, Input] | Mapping[str, Output], size: int) -> int:
+    """How many words of `size` points hold all that the fleet file names."""
+    return max((-(-point.number // size) for point in points.values()), default=0)
+
+
+class SMC2000Driver(Driver):
+    """One SMC-2000, alone on its port or in a daisy chain."""
+
+    def __init__(self, setup: Setup) -> None:
+        link = setup.config.link
+        assert isinstance(link, SerialLink)
+        options = Smc2000Options.model_validate(setup.options.model_dump())
+        self._config = setup.config
+        self._options = options
+        self._clock = setup.clock
+        self._char_ns = 10 * NS_PER_S // link.baud
+        self._motors = motor_indices(setup.config)
+        self._line: Line = setup.shared.setdefault(SHARED, Line())
+        # Only what the fleet file names is asked for: every character takes half a millisecond.
+        inputs, outputs = _words(setup.config.inputs, INPUTS_OF_WORD), _words(setup.config.outputs, OUTPUTS_OF_WORD)
+        self._points = inputs * INPUTS_OF_WORD, outputs * OUTPUTS_OF_WORD
+        self._device = SerialDevice(
+            self._line,
+            link.unit,
+            setup.clock,
+            setup.open_link,
+            options,
+            list(self._motors.values()),
+            inputs,
+            outputs,
+        )
+        # What the shared lowering counts a command of a stop with.
+        wire_us = EXCHANGE_CHARACTERS * self._char_ns // NS_PER_US
+        self._costly = options.model_copy(update={"round_trip_us": options.round_trip_us + options.hold_us + wire_us})
+        self._start = SerialStart(self._device, setup.clock, options)
+        self._jogging = Jogging(self._device, setup.clock, self._motors)
+        self._steppers: set[str] = set()
+
+    # Reaching it
+
+    async def connect(self) -> Identity:
+        self._start.forget()
+        return await self._device.connect()
+
+    async def configure(self) -> None:
+        await configure(self._device, self._config, self._options, self._motors)
+        types, _ = await self._device.session.numbers(*(f"_MT{LETTERS[index]}" for index in self._motors.values()))
+        self._steppers = {name for name, kind in zip(self._motors, types, strict=True) if abs(kind) >= STEPPER_TYPE}
+
+    async def close(self) -> None:
+        await self._device.close()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        # On a chain each exchange may have to wait for one of every other unit.
+        exchange_ns = self._costly.exchange_ns * len(self._line.units)
+        ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
+        costs = Costs(
+            arm_ns=ARM_EXCHANGES * exchange_ns,
+            # The gate is decided before the quiet time, and a release must reach it by then.
+            disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
+            stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,
+        )
+        return Capabilities(start_classes=("clock",), orders=(2,), independent_axes=False, costs=costs)
+
+    # Reading it
+
+    async def poll(self) -> Reading:
+        record, restarted = await self._device.poll()
+        return Reading(
+            at_ns=record.received_ns,
+            axes={name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()},
+            inputs=_bits(record.inputs, self._points[0]),
+            outputs=_bits(record.outputs, self._points[1]),
+            faults=await self._faults(record),
+            restarted=restarted,
+        )
+
+    def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
+        open_loop = name in self._steppers
+        return AxisReading(
+            commanded_counts=axis.commanded,
+            # The step counter is all that a stepper has (TE is not valid for it, L11836).
+            actual_counts=axis.commanded if open_loop else axis.actual,
+            velocity_counts_s=axis.velocity / VELOCITY_SCALE,
+            moving=axis.moving,
+            enabled=axis.enabled,
+            limit=_LIMIT[not axis.switches & FORWARD_SWITCH, not axis.switches & REVERSE_SWITCH],
+            # A servo's position is still monitored while it is off (L10447), and SH begins from there (L11494).
+            lost=open_loop and not axis.enabled,
+        )
+
+    async def _faults(self, record: Record) -> Sequence[Fault]:
+        faults: list[Fault] = []
+        aborted = False
+        for name, index in self._motors.items():
+            axis = record.axes[index]
+            if axis.status & OFF_ON_ERROR:
+                words = STOP_CODES[8]
+                faults.append(Fault(code=words.code, text=f"axis {name} {words.text}", remedy=words.remedy, axis=name))
+            aborted |= axis.stop_code == 6
+        if aborted:
+            # The stop code stays until the next move; the input itself says whether it is still so (2.0g, L6790).
+            (free,), _ = await self._device.session.numbers("_AB")
+            if not free:
+                words = STOP_CODES[6]
+                faults.append(Fault(code=words.code, text="the abort input is active", remedy=words.remedy))
+        return faults
+
+    def mapping(self) -> TickMapping | None:
+        return self._device.samples.mapping()
+
+    # A step
+
+    def lower(
+        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
+    ) -> Lowered:
+        costs = self.capabilities.costs
+        return lower_moves(self._config, self._motors, self._costly, costs, profiles, start, mapping, SMC2000)
+
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        if not isinstance(lowered, LoweredMoves):
+            raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
+        self._jogging.forget(move.axis for move in lowered.moves)
+        stages = await self._start.arm(lowered, t0_ns, mapping)
+        self._device.keep_quiet(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
+        return stages
+
+    def _poll_ns(self) -> int:
+        """How long a poll may be under way."""
+        characters = POLL_CHARACTERS[0] + POLL_CHARACTERS[1] * len(self._motors)
+        return characters * self._char_ns + self._options.decode_us * NS_PER_US * (len(self._motors) + 2)
+
+    async def verify(self) -> None:
+        await self._start.verify()
+
+    async def go(self) -> None:
+        await self._start.go()
+
+    async def disarm(self) -> None:
+        self._device.keep_quiet(0, 0)
+        await self._start.disarm()
+
+    async def started(self) -> Mapping[str, Span]:
+        return await self._start.started()
+
+    async def outcome(self) -> Outcome:
+        return await self._start.outcome()
+
+    async def stop(self, abort: bool) -> None:
+        self._device.stop(abort)
+
+    # Everything else
+
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        letters = "".join(LETTERS[self._motors[name]] for name in axes)
+        await self._device.session.tell(("SH" if on else "MO") + letters)
+        record = await self._device.record()
+        for name in axes:
+            if record.axes[self._motors[name]].enabled != on:
+                raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
+
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+        self._jogging.forget(axes)
+        searched = [(name, self._motors[name], self._config.axes[name]) for name in axes]
+        return await homing.home(self._device, self._clock, searched, found)
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        await self._jogging.jog(axis, move)
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        self._device.stop_axes(self._motors[axis] for axis in axes)
+
+    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        await load_limits(self._device, self._motors, limits)
+
+    async def set_output(self, number: int, on: bool) -> None:
+        await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")
+
+    async def clear_faults(self) -> None:
+        # Reading the error code clears it (L11681); all else that a fault leaves behind is cleared by enabling.
+        await self._device.session.ask("TC")
+
+    async def raw(self, command: str) -> str:
+        text = command.strip()
+        if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
+            raise CannotDo("bad-line", f"a line has at most {MAX_LINE} printable ASCII characters", "shorten it")
+        parts = _commands(text)
+        if any(part.strip()[:2] in WAITS_FOR_MORE or part.strip()[:1] in ("%", "!") for part in parts):
+            raise CannotDo("not-by-raw", f"{text[:2]} is no exchange of a line for a line", "use a terminal for it")
+        try:
+            replies = [await self._device.session.ask_all(part) for part in parts]
+        except CannotDo as refusal:
+            return f"? {refusal}"
+        return "\n".join(line for lines in replies for line in lines)
+
+
+def _bits(word: int, count: int) -> dict[int, bool]:
+    return {number + 1: bool(word >> number & 1) for number in range(count)}
+
+
+def _commands(line: str) -> list[str]:
+    """The commands of a line: parted by semicolons outside quotes."""
+    parts, quoted = [""], False
+    for character in line:
+        quoted ^= character == '"'
+        if character == ";" and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+class SMC2000Make:
+    """The make as the entry point names it."""
+
+    name = "smc2000"
+    options: type[BaseModel] = Smc2000Options
+
+    def check(self, config: Controller) -> None:
+        link = config.link
+        if not isinstance(link, SerialLink):
+            raise ValueError(f"link.kind: {link.kind}; an SMC-2000 is reached by `kind: serial`")
+        if (link.data_bits, link.parity, link.stop_bits) != (8, "none", 1):
+            raise ValueError("link: an SMC-2000 has 8 data bits, no parity and 1 stop bit (L177)")
+        if link.unit is not None and link.unit not in UNITS:
+            raise ValueError(
+                f"link.unit: {link.unit}; the units of a daisy chain are {UNITS.start} to {UNITS.stop - 1}"
+            )
+        motors = motor_indices(config)
+        if len(motors) > AXES_MOST:
+            raise ValueError(f"axes: {len(motors)}; at most {AXES_MOST} axes of one SMC-2000 can be driven")
+        for kind, points, most in (("inputs", config.inputs, INPUTS), ("outputs", config.outputs, OUTPUTS)):
+            for name, point in points.items():
+                if point.number > most:
+                    raise ValueError(f"{kind}.{name}.number: {point.number}; the unit has {kind} 1 to {most}")
+        try:
+            options = Smc2000Options.model_validate(config.options)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise ValueError(f"options.{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        unknown = [name for name in options.motor_type if name not in motors]
+        if unknown:
+            raise ValueError(f"options.motor_type: no axis {unknown[0]}; axes are {', '.join(motors)}")
+        for name, axis in config.axes.items():
+            if axis.homing.method not in homing.METHODS:
+                raise ValueError(
+                    f"axes.{name}.homing.method: {axis.homing.method!r}; this make has {', '.join(homing.METHODS)}"
+                )
+            stepper = abs(options.motor_type.get(name, 1.0)) >= STEPPER_TYPE
+            most = (
+                (STEPPER_SPEED_MAX if stepper else SMC2000.speed_max)
+                / float(axis.scale)
+                * 1000
+                / options.servo_period_us
+            )
+            if axis.limits.velocity > most:
+                raise ValueError(
+                    f"axes.{name}.limits.velocity: {axis.limits.velocity:g}; it goes at most {most:g} {axis.unit}/s"
+                )
+
+    def driver(self, setup: Setup) -> Driver:
+        return SMC2000Driver(setup)
+
+    def stop_bytes(self, config: Controller) -> bytes:
+        """Ends what is half-typed, or a download; on a chain `!` reaches all units, whoever is selected (L947)."""
+        link = config.link
+        everybody = "!" if isinstance(link, SerialLink) and link.unit is not None else ""
+        return "".join(
+            f"{command}\r" for command in ("\\", *(everybody + each for each in stop_commands(False)))
+        ).encode()
+
+
+MAKE = SMC2000Make()

@@ -1,0 +1,111 @@
+"""Simulated SMC-2000 on a wire in virtual time with drivers before them, as the other tests of the driver use it."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from contextvars import copy_context
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+from unit.adapters.test_smc4000_bench import trapezoid
+
+from adapters.contract import Driver, Setup
+from adapters.firing import LoopFirer
+from adapters.yaskawa.smc2000 import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.virtual import run_virtual
+from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.profile import Profile
+from sim.core.controller import SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.yaskawa import SMC2000
+
+__all__ = ["FLEET", "World", "run", "trapezoid"]
+
+LIMITS = {"velocity": 100.0, "acceleration": 1000.0}
+FLEET: dict[str, Any] = {
+    "adapter": "smc2000",
+    "link": {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},
+    "axes": {
+        "x": {"motors": ["X"], "unit": "mm", "scale": 1000, "limits": LIMITS},
+        "y": {"motors": ["Y"], "unit": "mm", "scale": 1000, "limits": LIMITS},
+    },
+}
+TIMING = Timing(decode_ns=500_000, spread_ns=50_000)
+
+
+@dataclass
+class World:
+    clock: Clock
+    controller: SimulatedController
+    wire: MemoryWire
+    driver: Driver
+    other: Callable[[], Any]
+
+    async def talk(self, line: str, quiet_ms: int = 60) -> str:
+        """What a person types at a terminal of his own, and what comes back until it is quiet."""
+        link = await self.wire.open()
+        reply = await typed(self.clock, link, line + "\r", quiet_ms)
+        await link.close()
+        await sleep_ns(self.clock, NS_PER_MS)
+        return reply
+
+    async def ready(self, polls: int = 30, connect: bool = True) -> None:
+        if connect:
+            await self.driver.connect()
+        await self.driver.configure()
+        await self.driver.enable(["x", "y"], True)
+        for _ in range(polls):
+            await self.driver.poll()
+            await sleep_ns(self.clock, 100 * NS_PER_MS)
+
+    async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.8) -> tuple[Any, Any, Any, int]:
+        """One step, from lowering to its outcome."""
+        driver, mapping = self.driver, self.driver.mapping()
+        lowered = driver.lower(profiles, "auto", mapping)
+        t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
+        await driver.arm(lowered, t0_ns, mapping)
+        await driver.verify()
+        await driver.go()
+        started = await driver.started()
+        outcome = await driver.outcome()
+        return lowered, started, outcome, t0_ns
+
+
+async def typed(clock: Clock, link: Any, text: str, quiet_ms: int = 60) -> str:
+    """Write to a link, and read until nothing comes any more."""
+    link.write(text.encode("latin-1"))
+    reply = b""
+    try:
+        while True:
+            async with asyncio.timeout(quiet_ms / 1000):
+                reply += (await link.read()).data
+    except TimeoutError:
+        return reply.decode("latin-1")
+
+
+def run(
+    main: Callable[[World], Coroutine[Any, Any, Any]],
+    *,
+    seed: int = 1,
+    fleet: dict[str, Any] | None = None,
+    options: dict[str, Any] | None = None,
+    ppm: float = 40.0,
+    hold_ms: int = 0,
+) -> Any:
+    async def within(clock: Clock) -> Any:
+        config = Controller.model_validate(fleet or FLEET)
+        MAKE.check(config)
+        oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
+        controller = SMC2000.build(clock, options or {}, oscillator=oscillator, timing=TIMING, seed=seed)
+        model = serial_wire(19200, hold_ns=hold_ms * NS_PER_MS)
+        wire = MemoryWire(clock, model, controller, "serial", "serial /dev/ttyS0", copy_context(), seed)
+
+        def driver() -> Driver:
+            chosen = MAKE.options.model_validate(config.options)
+            return MAKE.driver(Setup("c", config, chosen, clock, wire.open, LoopFirer(clock)))
+
+        return await main(World(clock, controller, wire, driver(), driver))
+
+    return run_virtual(within)

@@ -1,0 +1,160 @@
+"""The SMC-2000's driver against the simulated controller, in virtual time; verdicts by the simulator's truth."""
+
+from random import Random
+
+import pytest
+from unit.adapters.test_smc2000_bench import World, run, trapezoid
+
+from adapters.contract import CannotDo, DriverFault
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.profile import Profile
+
+
+def test_a_step_runs_from_connect_to_its_outcome():
+    async def main(world: World) -> None:
+        identity = await world.driver.connect()
+        assert (identity.model, identity.firmware, identity.serial) == ("SMC-2000-4", "Rev 2.0g", "1")
+        await world.ready(connect=False)
+        profiles = {"x": trapezoid(0, 40_000, 80_000, 700_000), "y": trapezoid(0, -20_000, 40_000, 350_000)}
+        lowered, started, outcome, t0_ns = await world.moved(profiles)
+        assert outcome.state == "done", outcome
+        motions = {motion.axis: motion for motion in world.controller.motions}
+        for axis, letter in (("x", "X"), ("y", "Y")):
+            motion = motions[letter]
+            assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
+            assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
+            off_ns = motion.start_ns - t0_ns
+            assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+            assert motion.end_counts == profiles[axis].end_counts
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    ("seed", "ppm", "hold_ms"), [(1, 0.0, 0), (2, 100.0, 0), (3, -100.0, 16), (4, 35.0, 16), (5, -12.0, 2)]
+)
+def test_spans_and_budgets_hold_over_random_moves_crystals_and_adapters(seed: int, ppm: float, hold_ms: int):
+    async def main(world: World) -> None:
+        draw = Random(world.wire.seed)
+        await world.ready(60)
+        at = {"x": 0, "y": 0}
+        for _ in range(12):
+            profiles: dict[str, Profile] = {}
+            for axis in at:
+                end = draw.randrange(-200_000, 200_000)
+                speed, ramp = draw.uniform(20_000, 99_000), draw.uniform(50_000, 990_000)
+                profiles[axis] = trapezoid(at[axis], end, speed, ramp, draw.uniform(1.0, 1.3))
+                at[axis] = end
+            before = len(world.controller.motions)
+            lowered, started, outcome, t0_ns = await world.moved(profiles)
+            assert outcome.state == "done", outcome
+            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            for axis, letter in (("x", "X"), ("y", "Y")):
+                motion = motions[letter]
+                assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
+                assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
+                off_ns = motion.start_ns - t0_ns
+                assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+                # Up to the next whole sample, and what the crystal is not known by.
+                real_s, told_s = (motion.end_ns - motion.start_ns) * 1e-9, lowered.durations_s[axis]
+                assert -1e-4 * real_s <= real_s - told_s <= 1e-4 * real_s + lowered.tick_ns * 1e-9 + 1e-5
+                # Nothing wider than the clock's own bound and the two samples that the program can not tell apart.
+                clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
+                assert started[axis].latest_ns - started[axis].earliest_ns <= 2 * lowered.tick_ns + clock_ns + 2
+                assert clock_ns < 5 * NS_PER_MS
+            for _ in range(3):
+                await world.driver.poll()
+
+    run(main, seed=seed, ppm=ppm, hold_ms=hold_ms)
+
+
+def test_the_gate_never_opened_means_no_motion():
+    async def main(world: World) -> None:
+        await world.ready()
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mapping)
+        t0_ns = world.clock.now_ns() + NS_PER_S
+        await world.driver.arm(lowered, t0_ns, mapping)
+        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
+        with pytest.raises(CannotDo) as late:
+            await world.driver.go()
+        assert late.value.refusal.code == "late"
+        with pytest.raises(DriverFault) as fault:
+            await world.driver.started()
+        assert fault.value.fault.code == "late"
+        await sleep_ns(world.clock, NS_PER_S)
+        assert not world.controller.motions
+
+    run(main)
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("before_ms", [300, 60, 30, 5, 0])
+def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, before_ms: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 90_000, 900_000)}, "auto", mapping)
+        t0_ns = world.clock.now_ns() + NS_PER_S
+        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
+        await world.driver.stop(abort)
+        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
+        assert world.controller.at_rest()
+        assert abs(world.controller.position("X")) < 100
+        if before_ms >= 30:
+            assert not world.controller.motions
+
+    run(main)
+
+
+def test_disarmed_and_reconnected_units_do_not_start():
+    async def main(world: World) -> None:
+        await world.ready()
+        for way in ("disarm", "reconnect"):
+            mapping = world.driver.mapping()
+            lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mapping)
+            t0_ns = world.clock.now_ns() + NS_PER_S
+            await world.driver.arm(lowered, t0_ns, mapping)
+            await world.driver.go()
+            if way == "disarm":
+                await world.driver.disarm()
+                await world.driver.disarm()
+            else:
+                await world.driver.close()
+                await sleep_ns(world.clock, NS_PER_MS)
+                await world.driver.connect()
+            await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
+            await world.driver.poll()
+            assert not world.controller.motions
+
+    run(main)
+
+
+def test_axes_without_a_way_take_part_without_moving():
+    async def main(world: World) -> None:
+        await world.ready()
+        still = Profile(0, 0, 0.0, [0.0], [0.0], [0.0])
+        for profiles in ({"x": trapezoid(0, 4000, 20_000, 200_000), "y": still}, {"y": still}):
+            lowered, started, outcome, _ = await world.moved(profiles)
+            assert outcome.state == "done"
+            assert set(started) == set(outcome.ended) == set(profiles)
+            assert lowered.durations_s["y"] == 0
+        assert {motion.axis for motion in world.controller.motions} == {"X"}
+
+    run(main)
+
+
+def test_minutes_of_polls_are_seconds_of_work():
+    async def main(world: World) -> None:
+        await world.ready()
+        for _ in range(3000):
+            assert not (await world.driver.poll()).restarted
+            await sleep_ns(world.clock, 100 * NS_PER_MS)
+        mapping = world.driver.mapping()
+        assert mapping is not None
+        assert abs(mapping.rate_ppm + 40.0) < 20
+        assert mapping.bound_ns < NS_PER_MS
+
+    run(main, ppm=40.0)
