@@ -1,0 +1,208 @@
+"""One controller of each make and link, simulated, with its driver: what the contract suite of adapters runs over."""
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass, replace
+from random import Random
+from typing import Any
+
+from adapters.contract import Driver, Lowered, Outcome, Setup, Span
+from adapters.firing import LoopFirer
+from adapters.host import find_make
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.memory import LAN, MemoryWire, serial_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.core.controller import SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+SERVO = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
+STEPPER = {
+    "unit": "mm",
+    "scale": 10_000,
+    "limits": {"velocity": 8, "acceleration": 40},
+    "start_rate": {"min": 0.01, "max": 0.4},
+    "homing": {"speed": 2},
+}
+TCP = {"kind": "tcp", "host": "127.0.0.1", "port": 1}
+YASKAWA = {"home_edge": {"X": -2000, "Y": -1500}, "index_every": {"X": 200, "Y": 200}}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A controller as in a fleet file, its simulator's options, the port of it that the link leads to."""
+
+    config: Mapping[str, Any]
+    simulate: Mapping[str, Any]
+    port: str
+
+    @property
+    def controller(self) -> Controller:
+        return Controller.model_validate(self.config)
+
+
+def case(
+    adapter: str,
+    link: Mapping[str, Any],
+    axes: Mapping[str, str],
+    kind: Mapping[str, Any],
+    simulate: Mapping[str, Any],
+    port: str,
+    **options: Any,
+) -> Case:
+    config = {
+        "adapter": adapter,
+        "link": dict(link),
+        "options": options,
+        "axes": {name: {**kind, "motors": [motor]} for name, motor in axes.items()},
+    }
+    return Case(config, simulate, port)
+
+
+STAGE = {"divide": 20, "speed": [100, 20000, 100]}
+CASES = {
+    "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
+    "shrc203 on serial": case(
+        "shrc203",
+        {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
+        {"u": "1", "v": "2"},
+        STEPPER,
+        STAGE,
+        "serial",
+        nm_per_pulse=100,
+    ),
+    "shrc203 behind a TCP bridge": case(
+        "shrc203", TCP, {"u": "1", "v": "2"}, STEPPER, STAGE, "serial", nm_per_pulse=100
+    ),
+}
+
+
+@dataclass
+class World:
+    """A driver and the controller that it drives, with the controller's truth."""
+
+    clock: VirtualClock
+    config: Controller
+    controller: SimulatedController
+    wire: MemoryWire
+    driver: Driver
+    draw: Random
+
+    def motor(self, axis: str) -> str:
+        return self.config.axes[axis].motors[0]
+
+    @property
+    def axes(self) -> list[str]:
+        return list(self.config.axes)
+
+    def positions(self) -> dict[str, float]:
+        return {axis: self.controller.position(self.motor(axis)) for axis in self.axes}
+
+    @property
+    def at_rest(self) -> bool:
+        return not any(self.controller.moving(self.motor(axis)) for axis in self.axes)
+
+    # What an adapter does with it
+
+    async def ready(self, polls: int = 40) -> None:
+        """Reached, compared, enabled, its clock known."""
+        await self.driver.connect()
+        await self.driver.configure()
+        await self.driver.load_limits(dict.fromkeys(self.axes))
+        await self.driver.enable(self.axes, True)
+        await self.poll(polls)
+
+    async def poll(self, times: int) -> None:
+        for _ in range(times):
+            await self.driver.poll()
+            await sleep_ns(self.clock, 90 * NS_PER_MS + self.draw.randrange(20 * NS_PER_MS))
+
+    async def plan(self, targets: Mapping[str, float], stretch: float = 1.3) -> dict[str, Profile]:
+        """Trapezoids to `targets` (counts) from where the axes stand, of one duration."""
+        now = (await self.driver.poll()).axes
+        moves = [
+            AxisMove(
+                name,
+                now[name].commanded_counts,
+                round(target),
+                self.config.axes[name].limits.velocity * float(self.config.axes[name].scale),
+                self.config.axes[name].limits.acceleration * float(self.config.axes[name].scale),
+            )
+            for name, target in targets.items()
+        ]
+        plan = plan_step(moves)
+        return dict(plan.stretched(plan.duration_s * stretch).profiles)
+
+    async def arm(self, profiles: Mapping[str, Profile]) -> tuple[Lowered, int]:
+        """Lowered and loaded; with T0, which is as near as the make allows."""
+        mapping = self.driver.mapping()
+        lowered = self.driver.lower(profiles, "auto", mapping)
+        t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
+        await self.driver.arm(lowered, t0_ns, mapping)
+        return lowered, t0_ns
+
+    async def move(
+        self, targets: Mapping[str, float]
+    ) -> tuple[Lowered, Mapping[str, Span], Outcome, int, dict[str, Profile]]:
+        """A whole step."""
+        profiles = await self.plan(targets)
+        lowered, t0_ns = await self.arm(profiles)
+        await self.driver.verify()
+        await self.driver.go()
+        started = await self.driver.started()
+        return lowered, started, await self.driver.outcome(), t0_ns, profiles
+
+    async def rest(self, within_ns: int) -> None:
+        """Wait until no axis moves."""
+        until_ns = self.clock.now_ns() + within_ns
+        while not self.at_rest:
+            assert self.clock.now_ns() <= until_ns, f"still moves after {within_ns / 1e9} s"
+            await sleep_ns(self.clock, NS_PER_MS)
+
+    async def until(self, at_ns: int) -> None:
+        await sleep_until_ns(self.clock, at_ns)
+
+
+def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm: float = 40.0) -> None:
+    """Run `main` with the world of a case."""
+
+    async def within(clock: VirtualClock) -> None:
+        chosen = CASES[name]
+        config, draw = chosen.controller, Random(seed)
+        make = find_make(config.adapter)
+        make.check(config)
+        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+        oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed)
+        controller = simulator(config.adapter).build(
+            clock, chosen.simulate, oscillator=oscillator, timing=timing, seed=seed
+        )
+        model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
+        if config.link.kind == "tcp" and chosen.port == "serial":
+            # A bridge hands bytes on as quickly as its serial side takes them.
+            model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
+        wire = MemoryWire(clock, model, controller, chosen.port, config.link.place, copy_context(), seed)
+        firer = LoopFirer(clock, lambda: draw.randrange(60 * NS_PER_US))
+        options = make.options.model_validate(config.options)
+        driver = make.driver(Setup("it", config, options, clock, wire.open, firer))
+        try:
+            await main(World(clock, config, controller, wire, driver, draw))
+        finally:
+            await driver.close()
+
+    run_virtual(within)
+
+
+def evidence_holds(world: World, spans: Mapping[str, Span], truth: Mapping[str, int], what: str) -> None:
+    for axis, span in spans.items():
+        assert span.earliest_ns <= truth[axis] <= span.latest_ns, (
+            f"{what} of {axis}: {truth[axis] - span.earliest_ns} ns into a span of {span.latest_ns - span.earliest_ns}"
+        )
+
+
+def motions(world: World, since: int) -> dict[str, Any]:
+    """The commanded motions since a number of them, by axis of the fleet file: one each."""
+    names: Sequence[str] = world.axes
+    return {name: m for m in world.controller.motions[since:] for name in names if world.motor(name) == m.axis}

@@ -1,0 +1,343 @@
+"""The contract of adapters, over every make and link: what a driver promises, judged by the simulator's truth."""
+
+import asyncio
+import contextlib
+
+import pytest
+from adapter_worlds import CASES, World, evidence_holds, motions, run
+
+from adapters.contract import CannotDo, DriverFault, JogMove
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.link.base import LinkClosed, LinkRefused
+
+pytestmark = pytest.mark.parametrize("name", CASES)
+
+TARGETS = (23_456, -12_345)
+
+
+def targets(world: World, factor: float = 1.0) -> dict[str, float]:
+    return {axis: round(target * factor) for axis, target in zip(world.axes, TARGETS, strict=True)}
+
+
+def test_reached_identified_compared_and_read(name: str) -> None:
+    async def main(world: World) -> None:
+        identity = await world.driver.connect()
+        assert identity.model
+        await world.driver.configure()
+        reading = await world.driver.poll()
+        assert list(reading.axes) == world.axes
+        assert not reading.restarted
+        capabilities = world.driver.capabilities
+        assert capabilities.start_classes
+        assert 2 in capabilities.orders
+        assert min(capabilities.costs.arm_ns, capabilities.costs.disarm_ns, capabilities.costs.stop_ns) > 0
+        # Reached again, while nothing is wrong, it is the same.
+        await world.driver.close()
+        assert await world.driver.connect() == identity
+
+    run(name, main)
+
+
+def test_motors_are_switched_and_references_found(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.driver.enable(world.axes, False)
+        assert not any(axis.enabled for axis in (await world.driver.poll()).axes.values())
+        with pytest.raises(CannotDo, match="enable"):
+            await world.driver.home(world.axes, lambda _: None)
+        assert not world.controller.motions
+        await world.driver.enable(world.axes, True)
+        assert all(axis.enabled for axis in (await world.driver.poll()).axes.values())
+        found: list[str] = []
+        assert await world.driver.home(world.axes, found.append) == {}
+        assert sorted(found) == sorted(world.axes)
+        assert world.at_rest
+        assert all(axis.commanded_counts == 0 for axis in (await world.driver.poll()).axes.values())
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_does_what_was_lowered_and_its_evidence_holds_the_truth(name: str, seed: int, ppm: float) -> None:
+    async def main(world: World) -> None:
+        await world.ready(60)
+        for factor in (1.0, -0.4, 2.0):
+            before = len(world.controller.motions)
+            lowered, started, outcome, t0_ns, profiles = await world.move(targets(world, factor))
+            assert outcome.state == "done", outcome
+            made = motions(world, before)
+            evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
+            evidence_holds(world, outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
+            earliest_ns = sum(term.earliest_ns for term in lowered.terms)
+            latest_ns = sum(term.latest_ns for term in lowered.terms)
+            for axis, motion in made.items():
+                assert earliest_ns <= motion.start_ns - t0_ns <= latest_ns
+                assert motion.end_counts == profiles[axis].end_counts
+            positions = {axis: reading.commanded_counts for axis, reading in (await world.driver.poll()).axes.items()}
+            assert positions == {axis: profile.end_counts for axis, profile in profiles.items()}
+
+    run(name, main, seed, ppm)
+
+
+def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        profiles, mapping = await world.plan(targets(world)), world.driver.mapping()
+        assert world.driver.lower(profiles, "auto", mapping) == world.driver.lower(profiles, "auto", mapping)
+        assert world.driver.lower(profiles, "auto", mapping).commands
+        for start in ("clock", "host"):
+            if start in world.driver.capabilities.start_classes:
+                assert world.driver.lower(profiles, start, mapping).start_class == start
+            else:
+                with pytest.raises(CannotDo) as caught:
+                    world.driver.lower(profiles, start, mapping)
+                assert caught.value.refusal.remedy
+        assert not world.controller.motions
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("stage", ["arm", "verify", "go"])
+def test_what_is_disarmed_never_starts(name: str, stage: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        before = world.positions()
+        lowered, t0_ns = await world.arm(await world.plan(targets(world)))
+        if stage != "arm":
+            await world.driver.verify()
+        if stage == "go":
+            await world.driver.go()
+        await world.until(min(t0_ns - lowered.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
+        await world.driver.disarm()
+        await world.driver.disarm()
+        await world.until(t0_ns + 3 * NS_PER_S)
+        assert world.positions() == before
+        assert world.at_rest
+        _, _, outcome, _, _ = await world.move(targets(world))
+        assert outcome.state == "done"
+
+    run(name, main)
+
+
+def test_nothing_starts_without_go(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        before = world.positions()
+        _, t0_ns = await world.arm(await world.plan(targets(world)))
+        await world.driver.verify()
+        await world.until(t0_ns + 3 * NS_PER_S)
+        assert world.positions() == before
+        await world.driver.disarm()
+        _, _, outcome, _, _ = await world.move(targets(world))
+        assert outcome.state == "done"
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("when_ms", [-400, -60, -10, 3, 90, 400])
+def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str, when_ms: int, abort: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        lowered, t0_ns = await world.arm(await world.plan(targets(world, 4)))
+        await world.driver.verify()
+        await world.driver.go()
+        following = asyncio.get_running_loop().create_task(follow(world))
+        await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
+        await world.driver.stop(abort)
+        await sleep_ns(world.clock, lowered.costs.stop_ns)
+        assert world.at_rest
+        rests = world.positions()
+        await following
+        await world.until(max(world.clock.now_ns(), t0_ns) + 2 * NS_PER_S)
+        assert world.positions() == rests
+        await world.driver.clear_faults()
+        await world.driver.enable(world.axes, True)
+        await world.poll(5)
+        _, _, outcome, _, _ = await world.move(targets(world))
+        assert outcome.state == "done"
+
+    run(name, main, seed=when_ms)
+
+
+async def follow(world: World) -> None:
+    """What everybody does who has started something: wait for its start and its end, whatever they are."""
+    with contextlib.suppress(DriverFault, CannotDo):
+        await world.driver.started()
+        assert (await world.driver.outcome()).state != "done"
+
+
+def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        profiles = await world.plan(targets(world, 3))
+        _, t0_ns = await world.arm(profiles)
+        await world.driver.verify()
+        await world.driver.go()
+
+        async def poll() -> None:
+            await world.until(t0_ns + NS_PER_MS)  # nothing polls a member just before T0
+            while True:
+                await world.poll(1)
+
+        polling = asyncio.get_running_loop().create_task(poll())
+        started = await world.driver.started()
+        outcome = await world.driver.outcome()
+        polling.cancel()
+        assert outcome.state == "done", outcome
+        made = motions(world, 0)
+        evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
+        evidence_holds(world, outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
+
+    run(name, main)
+
+
+def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        axis, other = world.axes
+        config = world.config.axes[axis]
+        speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
+        end = round(speed)
+        await world.driver.jog(axis, JogMove(speed, ramp, end))
+        fastest = 0.0
+        for _ in range(300):
+            await sleep_ns(world.clock, 10 * NS_PER_MS)
+            fastest = max(fastest, abs(world.controller.velocity(world.motor(axis))))
+            assert world.controller.position(world.motor(axis)) <= end
+        assert 0.8 * speed < fastest <= speed * (1 + 1e-4)  # as fast as its crystal is
+        assert world.controller.position(world.motor(axis)) == end
+        await world.driver.jog(axis, JogMove(-speed, ramp, None))
+        await world.driver.jog(other, JogMove(speed, ramp, None))
+        await sleep_ns(world.clock, 300 * NS_PER_MS)
+        await world.driver.stop_axes([axis])
+        await sleep_ns(world.clock, 400 * NS_PER_MS)
+        assert not world.controller.moving(world.motor(axis))
+        assert world.controller.moving(world.motor(other))
+        await world.driver.stop(False)
+        await world.rest(world.driver.capabilities.costs.stop_ns)
+        await world.poll(3)
+        _, _, outcome, _, _ = await world.move(targets(world))
+        assert outcome.state == "done"
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("call", ["connect", "configure", "poll", "enable", "home", "arm", "verify", "set_output"])
+def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        profiles = await world.plan(targets(world))
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower(profiles, "auto", mapping)
+        t0_ns = world.clock.now_ns() + 3 * NS_PER_S
+        if call == "verify":
+            await world.driver.arm(lowered, t0_ns, mapping)
+        world.wire.cut = True
+        calls = {
+            "connect": lambda: world.driver.connect(),
+            "configure": lambda: world.driver.configure(),
+            "poll": lambda: world.driver.poll(),
+            "enable": lambda: world.driver.enable(world.axes, False),
+            "home": lambda: world.driver.home(world.axes, lambda _: None),
+            "arm": lambda: world.driver.arm(lowered, t0_ns, mapping),
+            "verify": lambda: world.driver.verify(),
+            "set_output": lambda: world.driver.set_output(1, True),
+        }
+        began_ns = world.clock.now_ns()
+        with pytest.raises((DriverFault, LinkClosed, LinkRefused)) as caught:
+            await calls[call]()
+        assert world.clock.now_ns() - began_ns < 10 * NS_PER_S
+        if isinstance(caught.value, DriverFault):
+            assert caught.value.fault.remedy
+        world.wire.cut = False
+        await world.driver.close()
+        await world.driver.connect()
+        await world.driver.configure()
+        await world.driver.disarm()
+        await world.poll(5)
+        assert world.at_rest
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_is_said_and_survived(name: str, seed: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        before = world.positions()
+
+        def garble(data: bytes) -> bytes:
+            return bytes(world.draw.randrange(256) if world.draw.random() < 0.2 else each for each in data)
+
+        world.wire.to_near = garble
+        wrong = 0
+        for _ in range(20):
+            try:
+                await world.driver.poll()
+            except (DriverFault, LinkClosed, LinkRefused):
+                wrong += 1
+                await world.driver.close()
+                with contextlib.suppress(DriverFault, LinkClosed, LinkRefused):
+                    await world.driver.connect()
+        assert wrong
+        world.wire.to_near = None
+        await world.driver.close()
+        await sleep_ns(world.clock, NS_PER_S)
+        await world.driver.connect()
+        await world.driver.configure()
+        reading = await world.driver.poll()
+        assert {axis: each.commanded_counts for axis, each in reading.axes.items()} == before
+        assert world.positions() == before
+
+    run(name, main, seed)
+
+
+def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.arm(await world.plan(targets(world)))
+        await world.driver.verify()
+        await world.driver.go()
+        world.controller.set_power(False)
+        await sleep_ns(world.clock, NS_PER_S)
+        world.controller.set_power(True)
+        await sleep_ns(world.clock, 5 * NS_PER_S)
+        noticed = False
+        for _ in range(5):
+            try:
+                noticed = noticed or (await world.driver.poll()).restarted
+            except (DriverFault, LinkClosed, LinkRefused):
+                # Its links have died with it; after that it is asked again.
+                await world.driver.close()
+                await world.driver.connect()
+                await world.driver.configure()
+        assert noticed
+        assert world.at_rest
+        assert not any(motion.end_counts != motion.start_counts for motion in world.controller.motions)
+        await world.driver.enable(world.axes, True)
+        await world.poll(40)
+        _, _, outcome, _, _ = await world.move(targets(world))
+        assert outcome.state == "done"
+
+    run(name, main)
+
+
+def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await world.arm(await world.plan(targets(world, 2)))
+        await world.driver.verify()
+        await world.driver.go()
+        await world.until(t0_ns + 200 * NS_PER_MS)
+        await world.driver.close()
+        try:
+            await world.driver.connect()
+        except DriverFault as error:
+            assert error.fault.remedy
+        await world.rest(60 * NS_PER_S)
+        # It went where it was going.
+        assert world.positions() == targets(world, 2)
+
+    run(name, main)
