@@ -65,6 +65,14 @@ def case(
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
+    "smc2000 on serial": case(
+        "smc2000",
+        {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},
+        {"x": "X", "y": "Y"},
+        SERVO,
+        {"axes": 2, **YASKAWA},
+        "serial",
+    ),
     "shrc203 on serial": case(
         "shrc203",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
@@ -114,6 +122,11 @@ class World:
         await self.driver.load_limits(dict.fromkeys(self.axes))
         await self.driver.enable(self.axes, True)
         await self.poll(polls)
+
+    async def leave(self) -> None:
+        """Close the driver, and wait until the other side has heard of it."""
+        await self.driver.close()
+        await sleep_ns(self.clock, 20 * NS_PER_MS)
 
     async def poll(self, times: int) -> None:
         for _ in range(times):

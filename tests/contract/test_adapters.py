@@ -32,7 +32,7 @@ def test_reached_identified_compared_and_read(name: str) -> None:
         assert 2 in capabilities.orders
         assert min(capabilities.costs.arm_ns, capabilities.costs.disarm_ns, capabilities.costs.stop_ns) > 0
         # Reached again, while nothing is wrong, it is the same.
-        await world.driver.close()
+        await world.leave()
         assert await world.driver.connect() == identity
 
     run(name, main)
@@ -252,7 +252,7 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
         if isinstance(caught.value, DriverFault):
             assert caught.value.fault.remedy
         world.wire.cut = False
-        await world.driver.close()
+        await world.leave()
         await world.driver.connect()
         await world.driver.configure()
         await world.driver.disarm()
@@ -278,12 +278,12 @@ def test_noise_is_said_and_survived(name: str, seed: int) -> None:
                 await world.driver.poll()
             except (DriverFault, LinkClosed, LinkRefused):
                 wrong += 1
-                await world.driver.close()
+                await world.leave()
                 with contextlib.suppress(DriverFault, LinkClosed, LinkRefused):
                     await world.driver.connect()
         assert wrong
         world.wire.to_near = None
-        await world.driver.close()
+        await world.leave()
         await sleep_ns(world.clock, NS_PER_S)
         await world.driver.connect()
         await world.driver.configure()
@@ -310,7 +310,7 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
                 noticed = noticed or (await world.driver.poll()).restarted
             except (DriverFault, LinkClosed, LinkRefused):
                 # Its links have died with it; after that it is asked again.
-                await world.driver.close()
+                await world.leave()
                 await world.driver.connect()
                 await world.driver.configure()
         assert noticed
@@ -331,7 +331,7 @@ def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: 
         await world.driver.verify()
         await world.driver.go()
         await world.until(t0_ns + 200 * NS_PER_MS)
-        await world.driver.close()
+        await world.leave()
         try:
             await world.driver.connect()
         except DriverFault as error:
