@@ -61,6 +61,14 @@ def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
     return tuple(found)
 
 
+def questioned(text: str) -> tuple[str, ...]:
+    """The axes that fields of `?` name; 4 when there is anything else in them."""
+    marks = split(text)
+    if len(marks) > len(LETTERS) or any(mark not in ("", "?") for mark in marks):
+        raise CommandError(4)
+    return tuple(LETTERS[index] for index, mark in enumerate(marks) if mark)
+
+
 def parse_field(text: str) -> Field:
     if not text:
         return None

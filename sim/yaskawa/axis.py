@@ -81,6 +81,16 @@ class Axis:
         """Whether `_BG` is 1."""
         return self.mode not in ("", "cam")
 
+    @property
+    def stepper(self) -> bool:
+        """Whether it drives a step motor (L7683)."""
+        return abs(self.registers["MT"]) > fixed.ONE
+
+    @property
+    def pulse_delay(self) -> int:
+        """Samples by which the smoothing of steps holds back the last pulse: 3 KS (L6662)."""
+        return -(-3 * self.registers["KS"] // fixed.ONE)
+
     def speed(self, name: str) -> float:
         """A speed register in counts/sample."""
         return self.registers[name] / fixed.ONE * SPEED_UNIT

@@ -28,6 +28,12 @@ class Cam:
         """The master's cycle; 0 when none is defined."""
         return self.cycles.get((self.master or "")[-1:], 0) if self.master_cycle is None else self.master_cycle
 
+    def release(self) -> None:
+        """No slave follows or waits any more, as after a reset."""
+        self.enabled = False
+        self.followers.clear()
+        self.waiting.clear()
+
     def store(self, slave: str, index: int, value: int) -> None:
         self.table.setdefault(slave, [0] * self.points)[index] = value
 

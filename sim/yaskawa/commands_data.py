@@ -18,9 +18,10 @@ _BRACES = re.compile(r"\{[^{}]*\}")
 
 @command("PF")
 def _position_format(text: str) -> Runner:
+    """One format for all axes; of several, as in L16428 (SMC-2000: L1502), the first counts."""
     if text == "?":
         return lambda c: c.machine.show("PF", c.machine.position_format.value)
-    value = compile_expression(text)
+    value = compile_expression(split(text)[0])
 
     def run(c: Context) -> Outcome:
         c.machine.position_format = Format.of(value(c))
@@ -84,6 +85,8 @@ def _message(text: str) -> Runner:
     def run(c: Context) -> Outcome:
         written = "".join(part(c) for part in parts)
         if target:
+            if not c.machine.ports.opened(target):
+                raise CommandError(126)
             c.machine.ports.tell(target, f"{written}\r\n" if line_end else written)
         elif c.thread is not None:
             c.machine.ports.message(f"{written}\r\n" if line_end else written)
@@ -144,6 +147,7 @@ def _part(text: str) -> Part:
 
 # Arrays
 
+_FREED = re.compile(r"(\*|[A-Za-z][A-Za-z0-9]*|\*\*)(\[0\])?")
 _DIMENSION = re.compile(r"([A-Za-z][A-Za-z0-9]*)\[(.+)\]")
 
 
@@ -160,7 +164,7 @@ def _dimension(text: str) -> Runner:
 
     def run(c: Context) -> Outcome:
         for name, size in wanted:
-            c.machine.data.dimension(name, size(c))
+            c.machine.data.dimension(name, size(c), c.machine.model.proper_arrays)
         return None
 
     return run
@@ -171,6 +175,8 @@ def _deallocate(text: str) -> Runner:
     if text == "?":
         return lambda c: c.machine.show_value(fixed.whole(30 - len(c.machine.data.arrays)))
     names = split(text)
+    if any(_FREED.fullmatch(name) is None for name in names):
+        raise CommandError(4 if text else 50)
 
     def run(c: Context) -> Outcome:
         for name in names:
@@ -267,6 +273,13 @@ def _record_arrays(text: str) -> Runner:
     return run
 
 
+def _digital(volts: Evaluator) -> Evaluator:
+    """Torque is recorded as what the converter gets (L16029; SMC-2000: L4621)."""
+    return lambda c: fixed.whole(round(volts(c) / fixed.ONE * _DIGITAL_TORQUE / _FULL_VOLTS))
+
+
+_DIGITAL_TORQUE = 32703
+_FULL_VOLTS = 9.9988
 _RECORDED = ("DE", "TP", "TE", "SH", "RP", "RL", "TI", "OP", "TS", "SC", "TB", "TT")
 
 
@@ -276,7 +289,8 @@ def _record_data(text: str) -> Runner:
     for part in split(text):
         if not part.startswith("_") or part[1:3] not in _RECORDED:
             raise CommandError(58)
-        sources.append(compile_expression(part.replace("_SH", "_RP")))
+        source = compile_expression(part.replace("_SH", "_RP"))
+        sources.append(_digital(source) if part.startswith("_TT") else source)
 
     def run(c: Context) -> Outcome:
         if len(sources) > c.machine.options.channels:

@@ -1,9 +1,11 @@
 """Program flow: XQ HX JP JS EN IF ELSE ENDIF ZS RE RI II IN BK SL TR ED NO (L3126-L11936)."""
 
+import re
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
 from sim.yaskawa.arguments import parse_fields, split, values
+from sim.yaskawa.commands_status import report
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import compile_expression, integer
@@ -158,6 +160,9 @@ def _endif(text: str) -> Runner:
 
 @command("ZS", where="program")
 def _zero_stack(text: str) -> Runner:
+    """`ZS ?` tells the depth (L11914)."""
+    if text == "?":
+        return lambda c: report(c, c.machine.show_value(fixed.whole(len(thread_of(c).stack))))
     value = integer(text) if text else None
 
     def run(c: Context) -> Outcome:
@@ -200,11 +205,15 @@ _return("RI")
 
 @command("II")
 def _input_interrupt(text: str) -> Runner:
+    """Only a program sets it (L6019); anybody may ask for the mask (L6021)."""
     if text == "?":
-        return lambda c: c.machine.show_whole(c.machine.interpreter.interrupts, 3)
-    fields = values(parse_fields(text))
+        return lambda c: report(c, c.machine.show_whole(c.machine.interpreter.interrupts, 3))
+    if not text:
+        raise CommandError(50)
+    fields = values(parse_fields(text, 4))
 
     def run(c: Context) -> Outcome:
+        thread_of(c)
         given = [None if raw is None else fixed.truncated(raw) for raw in [*fields(c), None, None, None]]
         first, last, mask, high = given[:4]
         interpreter = c.machine.interpreter
@@ -230,15 +239,23 @@ def _input_interrupt(text: str) -> Runner:
     return run
 
 
+_TARGET = re.compile(r"[A-Za-z][A-Za-z0-9]*(\[.+\])?")
+_STRING = re.compile(r"S[1-6]?\}")
+
+
 @command("IN", where="program")
 def _input(text: str) -> Runner:
+    """`IN "prompt",NAME{So}`: thread 0 waits for a value for a variable or an array element (L16135)."""
     body = text[4:] if text.startswith("{P1}") else text
     parts = split(body)
     if len(parts) < 2:
         raise CommandError(65)
-    name = parts[1].partition("{")[0]
+    name, _, form = parts[1].partition("{")
     if not name:
         raise CommandError(25)
+    if (form and _STRING.fullmatch(form) is None) or _TARGET.fullmatch(name) is None:
+        raise CommandError(53 if form else 9)
+    length = int(form[1:-1] or fixed.STRING_LENGTH) if form else 0
     prompt = parts[0].strip('"')
 
     def run(c: Context) -> Outcome:
@@ -246,7 +263,7 @@ def _input(text: str) -> Runner:
         if thread.number:
             raise CommandError(71)
         c.machine.ports.tell("S", prompt)
-        thread.input_for = name
+        thread.input_for, thread.input_length = name, length
         return when(lambda machine, now: not thread.input_for)
 
     return run

@@ -74,6 +74,8 @@ def _gear_axis(text: str) -> Runner:
 
 @command("GM")
 def _gantry(text: str) -> Runner:
+    if not text:
+        raise CommandError(50)
     form = parse_form(text)
 
     def run(c: Context) -> Outcome:
@@ -156,6 +158,8 @@ def _cam_counter(text: str) -> Runner:
 def _cam_interval(text: str) -> Runner:
     if text in ("?", "?,?", ",?"):
         return lambda c: _show_interval(c, text)
+    if not text:
+        raise CommandError(50)
     fields = values(parse_fields(text, 2))
 
     def run(c: Context) -> Outcome:
@@ -190,6 +194,8 @@ def _cam_table(text: str) -> Runner:
         if not found:
             raise CommandError(55)
         index = compile_expression(place)
+    if not body:
+        raise CommandError(50)
     fields = values(parse_fields(body))
 
     def run(c: Context) -> Outcome:

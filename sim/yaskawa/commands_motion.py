@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import LETTERS, parse_axes
+from sim.yaskawa.arguments import LETTERS, parse_axes, questioned
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_parameters import form_command
 from sim.yaskawa.context import Context
@@ -104,6 +104,9 @@ def _stop(text: str) -> Runner:
 
 @command("AB")
 def _abort(text: str) -> Runner:
+    """`AB ?` tells the abort input, as `_AB` does (L2222)."""
+    if text == "?":
+        return lambda c: c.machine.show_whole(int(not c.machine.motion.abort_input), 1)
     number = integer(text) if text else None
 
     def run(c: Context) -> Outcome:
@@ -133,8 +136,17 @@ def _servo_here(text: str) -> Runner:
     return run
 
 
+def flag_query(text: str, read: Callable[[Axis], bool]) -> Runner:
+    """`?` in the fields of a command that else takes letters: 1 or 0 for each axis asked."""
+    names = questioned(text)
+    return lambda c: ",".join(c.machine.show_whole(int(read(axis)), 1) for axis in chosen(c, names))
+
+
 @command("MO")
 def _motor_off(text: str) -> Runner:
+    """`MO ?` tells 1 for a motor that is off (L7599-L7603)."""
+    if "?" in text:
+        return flag_query(text, lambda axis: axis.motor_off)
     names = parse_axes(text)
 
     def run(c: Context) -> Outcome:
@@ -173,6 +185,9 @@ for _op in ("HM", "FE", "FI"):
 
 @command("AL")
 def _arm_latch(text: str) -> Runner:
+    """`AL ?` tells 1 while the latch is armed (L2543)."""
+    if "?" in text:
+        return flag_query(text, lambda axis: axis.latch_armed)
     names = parse_axes(text)
 
     def run(c: Context) -> Outcome:
@@ -229,6 +244,15 @@ def increment(c: Context, given: list[tuple[Axis, int]]) -> None:
             axis.registers["PR"], axis.armed = kept, armed
 
 
+def distance(c: Context, axis: Axis) -> int:
+    """`_PR`: the incremental distance, also when PA has set it (L12120; SMC-2000, with `PR ?`: L10845)."""
+    if axis.mode == "move":
+        return fixed.rounded(axis.target) - axis.move_start
+    if axis.armed == "PA":
+        return fixed.truncated(axis.registers["PA"]) - axis.reference(c.machine.now())
+    return fixed.truncated(axis.registers["PR"])
+
+
 def _show_reference(c: Context, axis: Axis) -> str:
     return c.machine.show_counts(axis.reported(axis.reference(c.machine.now())))
 
@@ -240,16 +264,6 @@ def _show_encoder(c: Context, axis: Axis) -> str:
 form_command("DP", _show_encoder, _define)
 form_command("DE", lambda c, axis: c.machine.show_counts(axis.auxiliary), _define_auxiliary)
 form_command("IP", _show_reference, increment)
-
-
-@command("AE")
-def _absolute_encoder(text: str) -> Runner:
-    """Only W models have the option; without it the read times out (L2468)."""
-
-    def run(c: Context) -> Outcome:
-        raise CommandError(1 if not text else 4)
-
-    return run
 
 
 @command("TM")

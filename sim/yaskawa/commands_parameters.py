@@ -57,7 +57,7 @@ def enter_parameter(op: str, check: Checked | None = None, applied: Applied | No
 
     def read(c: Context, axis: Axis) -> str:
         parameter = c.machine.model.parameters[op]
-        if not parameter.asked:
+        if not parameter.asked or op in c.machine.model.unasked:
             raise CommandError(51)
         layout = parameter.format or c.machine.position_format
         return layout.write(axis.registers[op], c.machine.layout)
@@ -140,7 +140,7 @@ def _check_motor_type(c: Context, axis: Axis, op: str, raw: int) -> None:
 
 def _check_stepper(c: Context, axis: Axis, op: str, raw: int) -> None:
     fastest = c.machine.model.figures.stepper_fastest
-    if fastest and abs(axis.registers["MT"]) > fixed.ONE and abs(raw) > fastest * fixed.ONE:
+    if fastest and axis.stepper and abs(raw) > fastest * fixed.ONE:
         raise CommandError(6)
 
 
@@ -164,6 +164,13 @@ def _cycle(c: Context, axis: Axis, op: str) -> None:
     c.machine.motion.cam.cycles[axis.name] = fixed.truncated(axis.registers[op])
 
 
+def _pole(c: Context, axis: Axis, op: str) -> None:
+    axis.registers[op] = _POLES.get(axis.registers[op], axis.registers[op])
+
+
+_POLES = {fixed.literal(given): fixed.literal(kept) for given, kept in ((".95", ".95271"), (".9", ".89971"))}
+"""What PL keeps is coarser than what it is given, by a rule that is not told; these two are shown (L8378-L8387)."""
+
 _SPECIAL: dict[str, tuple[Checked | None, Applied | None]] = {
     "AC": (None, _replan),
     "SP": (_check_stepper, _replan),
@@ -179,6 +186,7 @@ _SPECIAL: dict[str, tuple[Checked | None, Applied | None]] = {
     "NB": (_check_filter, None),
     "NZ": (_check_filter, None),
     "EM": (_check_cycle, _cycle),
+    "PL": (None, _pole),
 }
 
 for _name in parameters.SMC4000.keys() | smc2000_parameters.SMC2000.keys():

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, split, values
+from sim.yaskawa.arguments import LETTERS, canonical, parse_axes, parse_fields, split, values
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator, compile_expression
@@ -89,8 +89,8 @@ def _linear_mode(text: str) -> Runner:
 
 @command("VM")
 def vector_mode(text: str) -> Runner:
-    """`VM`: the plane and perhaps the tangent axis."""
-    names = parse_axes(text, LETTERS + "N")
+    """`VM`: the plane and perhaps the tangent axis; commas between them are not necessary (L13282)."""
+    names = parse_axes(text.replace(",", ""), LETTERS + "N")
     if len(names) not in (0, 2, 3):
         raise CommandError(50)
 
@@ -105,6 +105,8 @@ def vector_mode(text: str) -> Runner:
 @command("LI")
 def _linear_segment(text: str) -> Runner:
     head, speeds = _with_speeds(text)
+    if head[1:2] == "=":
+        head = "," * LETTERS.find(canonical(head[0])) + head[2:]
     fields = values(parse_fields(head))
 
     def run(c: Context) -> Outcome:
@@ -333,6 +335,8 @@ def _ellipse(text: str) -> Runner:
 @command("TN")
 def tangent(text: str) -> Runner:
     """`TN m,n`: scale and zero of the tangent axis."""
+    if not text:
+        raise CommandError(50)
     fields = values(parse_fields(text, 2))
 
     def run(c: Context) -> Outcome:

@@ -1,10 +1,10 @@
-"""Status: TP RP TE TD QP QA RL RU TV TT TS TB TC TI SC QR QZ QY TY (L8481-L9210, L9500-L11120)."""
+"""Status: TP RP TE TD QP QA RL RU TV TT TS TB TC TI SC QR QZ TY (L8481-L9210, L9500-L11120)."""
 
 import struct
 from collections.abc import Callable
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import LETTERS, parse_axes, split
+from sim.yaskawa.arguments import LETTERS, parse_axes, questioned
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_motion import chosen
 from sim.yaskawa.context import Context
@@ -22,6 +22,9 @@ _ADDRESSED_BIT = 7
 AVERAGED = 256
 """Samples that TV averages over (L11021)."""
 _FEED_FORWARD = 1.5e-7
+"""Volts of FA for each count/s^2 (L5121)."""
+_SPEED_FORWARD = 1.22e-6
+"""Volts of FV for each count/s (L5381)."""
 _VOLTS = 9.9988
 
 Reader = Callable[[Context, Axis], int]
@@ -43,9 +46,10 @@ def error(c: Context, axis: Axis) -> int:
 
 
 def auxiliary(c: Context, axis: Axis) -> int:
-    """`TD`: the auxiliary encoder; on a stepper the pulses sent (L10449)."""
-    stepper = abs(axis.registers["MT"]) > fixed.ONE
-    return axis.reference(c.machine.now()) if stepper else axis.auxiliary
+    """`TD`: the auxiliary encoder; on a stepper the pulses sent, which KS delays (L14096-L14105)."""
+    if not axis.stepper:
+        return axis.auxiliary
+    return axis.reference(c.machine.now() - axis.pulse_delay)
 
 
 def unmodularised(c: Context, axis: Axis) -> int:
@@ -68,13 +72,15 @@ def velocity(c: Context, axis: Axis) -> int:
 
 
 def volts(c: Context, axis: Axis) -> int:
-    """`TT`, raw: offset and acceleration feed-forward of an ideal plant (D63)."""
+    """`TT`, raw: offset and feed-forwards of an ideal plant (D63)."""
     if axis.motor_off:
         return 0
     bias = axis.registers["OF"] / fixed.ONE
     if axis.profile is not None and axis.moving:
         change = axis.profile.acceleration(c.machine.now()) * 1048576
         bias += max(min(axis.registers["FA"] / fixed.ONE * change * _FEED_FORWARD, 10.0), -10.0)
+    speed = axis.command_velocity(c.machine.now()) / SPEED_UNIT
+    bias += axis.registers["FV"] / fixed.ONE * speed * _SPEED_FORWARD
     limit = min(axis.registers["TL"] / fixed.ONE, _VOLTS)
     return fixed.of(max(min(bias, limit), -limit))
 
@@ -126,7 +132,7 @@ def tell(
     op: str,
     read: Reader,
     form: Format | None = None,
-    allowed: str = LETTERS + "N",
+    allowed: str = LETTERS,
     digits: Callable[[Context], int] | None = None,
     table: dict[str, Command] = COMMANDS,
     asked: bool = True,
@@ -137,12 +143,12 @@ def tell(
     def compile_tell(text: str) -> Runner:
         if "?" in text and not asked:
             raise CommandError(51)
-        if "?" in text:
-            names = tuple(LETTERS[index] for index, mark in enumerate(split(text)) if mark == "?")
-        else:
-            names = parse_axes(text, allowed)
+        questions = "?" in text
+        names = questioned(text) if questions else parse_axes(text, allowed)
 
         def run(c: Context) -> Outcome:
+            if questions and op in c.machine.model.unasked:
+                raise CommandError(51)
             layout = Format(digits(c), 0) if digits is not None else form or c.machine.position_format
             raw = [read(c, axis) if op == "TT" else read(c, axis) * fixed.ONE for axis in chosen(c, names)]
             return report(c, ",".join(layout.write(value, c.machine.layout) for value in raw))
@@ -160,19 +166,28 @@ def report(c: Context, written: str) -> Outcome:
     return None
 
 
-tell("TP", encoder)
-tell("RP", reference)
+tell("TP", encoder, allowed=LETTERS + "N")
+tell("RP", reference, allowed=LETTERS + "N")
 tell("TE", error)
 tell("TD", auxiliary)
 tell("QP", unmodularised)
-tell("QA", auxiliary, allowed=LETTERS)
-tell("RL", latched, allowed=LETTERS)
-tell("RU", latched, allowed=LETTERS)
+tell("QA", auxiliary)
+tell("RL", latched)
+
+
+def _latched_at_rest(c: Context, axis: Axis) -> int:
+    """`RU`: not in motion (L9708)."""
+    if c.machine.motion.active():
+        raise CommandError(7)
+    return axis.latched
+
+
+tell("RU", _latched_at_rest)
 tell("TV", velocity, digits=lambda c: c.machine.model.speed_digits)
 tell("TT", volts, Format(1, 4))
 tell("TS", switches, Format(3, 0))
-tell("SC", lambda c, axis: axis.stop_code, Format(3, 0))
-tell("TY", lambda c, axis: -2147483648, Format(10, 0))
+tell("SC", lambda c, axis: axis.stop_code, Format(3, 0), allowed=LETTERS + "N")
+tell("TY", lambda c, axis: axis.absolute, Format(10, 0))  # L11089; SMC-2000: L12250
 
 
 @command("TB")
@@ -200,16 +215,6 @@ def tell_code(text: str) -> Runner:
         if number == 0:
             return report(c, c.machine.show_whole(code, 3))
         return report(c, f"{code} {c.machine.model.texts[code]}" if code else "0")
-
-    return run
-
-
-@command("QY")
-def _alarm_text(text: str) -> Runner:
-    """Alarms come from the absolute-encoder option, which is not fitted (L9145)."""
-
-    def run(c: Context) -> Outcome:
-        raise CommandError(1)
 
     return run
 

@@ -14,6 +14,8 @@ from sim.yaskawa.trippoints import at_sample
 
 HANDLES = "ABCDEFGH"
 UNUSED = -2147483648
+POLARITIES = 4
+"""Fields of CN."""
 
 
 # Outputs and inputs
@@ -84,10 +86,9 @@ def _analog_output(text: str) -> Runner:
 
 @command("CN")
 def _configure(text: str) -> Runner:
-    if "?" in text:
-        places = [index for index, mark in enumerate(split(text)) if mark == "?"]
-        return lambda c: ",".join(c.machine.show_whole(c.machine.polarity[place], 2) for place in places)
-    fields = values(parse_fields(text))
+    if not text:
+        raise CommandError(50)
+    fields = values(parse_fields(text, POLARITIES))
 
     def run(c: Context) -> Outcome:
         given = [None if raw is None else fixed.truncated(raw) for raw in fields(c)]
@@ -181,6 +182,8 @@ def _address(text: str) -> Runner:
         machine = c.machine
         if c.port is not None and c.port.kind != "serial":
             raise CommandError(1)
+        if machine.motion.active():
+            raise CommandError(7)
         if unsigned is not None:
             machine.address = fixed.wrapped(unsigned)
         if fields is not None:

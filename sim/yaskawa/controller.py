@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.core.controller import Connection, LimitSwitch, Motion, Send
-from sim.yaskawa import fixed
 from sim.yaskawa.arguments import canonical
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.machine import Machine
@@ -77,7 +76,7 @@ class Controller:
         found = self._axis(axis)
         if found.frozen is None or found.stalled:
             raise ValueError(f"axis {axis}: its motor holds it, or it is stuck")
-        if abs(found.registers["MT"]) >= 2 * fixed.ONE:
+        if found.stepper:
             found.physical_zero -= counts
         else:
             found.frozen += counts

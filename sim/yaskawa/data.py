@@ -20,7 +20,7 @@ class Room:
     elements: int
     """Of all arrays together."""
     zero_frees: bool = False
-    """`DM NAME[0]` frees an array (SMC-2000: L4500)."""
+    """`DM NAME[0]` frees an array (L15912; SMC-2000: L4500)."""
 
 
 class Data:
@@ -67,9 +67,9 @@ class Data:
     def free_elements(self) -> int:
         return self.room.elements - sum(len(array) for array in self.arrays.values())
 
-    def dimension(self, name: str, size: int) -> None:
-        """`DM`: a new array of zeros; one of that name is replaced."""
-        if _NAME.fullmatch(name) is None:
+    def dimension(self, name: str, size: int, proper: bool = False) -> None:
+        """`DM`: a new array of zeros; one of that name is replaced. proper: names begin with a capital."""
+        if _NAME.fullmatch(name) is None or (proper and not name[0].isupper()):
             raise CommandError(57)
         if size == 0 and self.room.zero_frees and name in self.arrays:
             del self.arrays[name]

@@ -3,6 +3,7 @@
 from sim.yaskawa import (
     commands_contour,
     commands_data,
+    commands_encoder,
     commands_flow,
     commands_gear,
     commands_motion,
@@ -18,6 +19,7 @@ from sim.yaskawa.registry import COMMANDS, OPERANDS
 MODULES = (
     commands_contour,
     commands_data,
+    commands_encoder,
     commands_flow,
     commands_gear,
     commands_motion,

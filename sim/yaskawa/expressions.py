@@ -20,10 +20,13 @@ Binary = Callable[[int, int], int]
 
 _TOKEN = re.compile(
     r"""\s*(?:(?P<string>"[^"]*")|(?P<number>\$[0-9A-F]+(?:\.[0-9A-F]*)?|\d+\.?\d*|\.\d+)"""
-    r"""|(?P<name>[@_]?[A-Za-z][A-Za-z0-9]*(?:~[a-z])?)|(?P<op><=|>=|<>|[-+*/&|<>=()\[\]]))"""
+    r"""|(?P<name>[@_]?[A-Za-z][A-Za-z0-9]*(?:~[a-z])?|~[a-d])|(?P<op><=|>=|<>|[-+*/&|<>=()\[\]]))"""
 )
 _KEYWORD = re.compile(r"P[12](?:CD|CH|NM|ST)")
-_DEPTH = 8  # the manual speaks of four (L15617); its own conditions nest deeper with the brackets of functions
+_DEPTH = {")": 4, "]": 8}
+"""How deep parentheses (L15620) and the brackets of functions and indices may be nested."""
+_STEPS_PER_DEGREE = 128
+"""Of the argument of @SIN and @COS (L15656)."""
 
 _ARITHMETIC: dict[str, Binary] = {
     "+": lambda a, b: fixed.clamp(a + b),
@@ -45,6 +48,12 @@ _COMPARISON: dict[str, Binary] = {
 
 def _angle(function: Callable[[float], float]) -> Callable[[int], int]:
     return lambda raw: fixed.of(function(math.radians(raw / fixed.ONE)))
+
+
+def _wave(function: Callable[[float], float]) -> Callable[[int], int]:
+    step = fixed.ONE // _STEPS_PER_DEGREE
+    plain = _angle(function)
+    return lambda raw: plain((raw + step // 2) // step * step)
 
 
 def _arc(function: Callable[[float], float]) -> Callable[[int], int]:
@@ -70,11 +79,11 @@ FUNCTIONS: dict[str, Callable[[int], int]] = {
     "@ASIN": _arc(math.asin),
     "@ATAN": lambda raw: fixed.of(math.degrees(math.atan(raw / fixed.ONE))),
     "@COM": lambda raw: fixed.whole(~fixed.truncated(raw)),
-    "@COS": _angle(math.cos),
+    "@COS": _wave(math.cos),
     "@FRAC": _fraction,
     "@INT": lambda raw: fixed.whole(fixed.truncated(raw)),
     "@RND": lambda raw: ((raw + fixed.ONE // 2) >> 16) << 16,
-    "@SIN": _angle(math.sin),
+    "@SIN": _wave(math.sin),
     "@SQR": _square_root,
     "@TAN": _angle(math.tan),
 }
@@ -94,7 +103,7 @@ class _Parser:
             self.tokens.append((kind, match[kind]))
             position = match.end()
         self.index = 0
-        self.depth = 0
+        self.depth = dict.fromkeys(_DEPTH, 0)
         self.text = text
 
     def peek(self) -> str:
@@ -137,17 +146,19 @@ class _Parser:
         raise CommandError(4)
 
     def bracket(self, close: str) -> Evaluator:
-        self.depth += 1
-        if self.depth > _DEPTH:
+        self.depth[close] += 1
+        if self.depth[close] > _DEPTH[close]:
             raise CommandError(59)
         value = self.comparison()
         if self.peek() != close:
             raise CommandError(59 if close == ")" else 55)
         self.index += 1
-        self.depth -= 1
+        self.depth[close] -= 1
         return value
 
     def name(self, text: str) -> Evaluator:
+        if text.startswith("~"):
+            return lambda c: fixed.whole(c.machine.designated(text))
         if text.startswith("@"):
             if self.peek() != "[":
                 raise CommandError(55 if text in FUNCTIONS or text in ("@IN", "@OUT", "@AN") else 57)

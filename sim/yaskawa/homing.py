@@ -3,7 +3,6 @@
 from math import inf
 from typing import TYPE_CHECKING
 
-from sim.yaskawa import fixed
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.profile import SPEED_UNIT, Profile, first_sample, plan_jog, plan_stop
 
@@ -84,7 +83,7 @@ class Homing:
             axis.stop_code = code
             axis.home_stage = 2
             return
-        if axis.stage == control.figures.stepper_home_stages + 1 and abs(axis.registers["MT"]) > fixed.ONE:
+        if axis.stage == control.figures.stepper_home_stages + 1 and axis.stepper:
             control.note_end(axis, at)
             axis.rest(at, axis.reference(at) - axis.gear.position(at))
             axis.stop_code = axis.ending_code

@@ -12,6 +12,7 @@ from sim.yaskawa.data import Data
 from sim.yaskawa.entry import OperatorEntry
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.events import Events
+from sim.yaskawa.expressions import compile_expression
 from sim.yaskawa.formats import Format, Layout
 from sim.yaskawa.interpreter import Interpreter
 from sim.yaskawa.io import Points
@@ -105,7 +106,8 @@ class Machine:
         """`CI`: what on each serial port calls #COMINT: 0 nothing, 1 carriage return, 2 any character."""
         self.interrupting_on = False
         if self.model.figures.default_plane and len(self.letters) > 1:
-            self.motion.systems["S"].select(("X", "Y"), linear=False)
+            for system in self.motion.systems.values():
+                system.select(("X", "Y"), linear=False)
         self.gear_master = ""
         """The one master of all axes (SMC-2000: L9015)."""
         self.motion.cam.master_cycle = 0 if self.options.own_modulus else None
@@ -295,6 +297,13 @@ class Machine:
             raise CommandError(4)
         self.designators[designator] = letter
 
+    def designated(self, designator: str) -> int:
+        """What `~a` is as a number (L7811); 4 before it is given."""
+        letter = self.designators.get(designator)
+        if letter is None:
+            raise CommandError(4)
+        return next(number for number, name in _AXIS_NUMBERS.items() if name == letter)
+
     def number_axis(self, designator: str, number: int) -> None:
         """`~a=2`."""
         if number not in _AXIS_NUMBERS:
@@ -354,10 +363,18 @@ class Machine:
         text = line.split(";")[0]
         if text:
             try:
-                self.data.assign(name, self._input_value(text, main.input_length))
+                self._assign_input(name, self._input_value(text, main.input_length))
             except (ValueError, CommandError):
                 self.fail(83)
         return True
+
+    def _assign_input(self, name: str, raw: int) -> None:
+        array, bracket, index = name.partition("[")
+        if bracket:
+            place = compile_expression(index.removesuffix("]"))(self.interpreter.contexts[0])
+            self.data.store(array, fixed.truncated(place), raw)
+        else:
+            self.data.assign(name, raw)
 
     def _input_value(self, text: str, length: int) -> int:
         """A number, or with `length` (of `{Sn}`), or when it is none, a string."""

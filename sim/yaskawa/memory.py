@@ -3,6 +3,8 @@
 import copy
 from typing import TYPE_CHECKING
 
+from sim.yaskawa.cam import Cam
+
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
 
@@ -44,7 +46,7 @@ class Memory:
         self._trace = False
         self._period = 1000
         self._program: list[str] = []
-        self._cam: object = None
+        self._cam: Cam | None = None
         self._variables: dict[str, int] = {}
         self._arrays: dict[str, list[int]] = {}
 
@@ -79,6 +81,7 @@ class Memory:
         """`BP`: program and cam."""
         self._program = list(self.machine.program.lines)
         self._cam = copy.deepcopy(self.machine.motion.cam)
+        self._cam.release()
 
     def burn_variables(self) -> None:
         """`BV`."""
@@ -91,9 +94,7 @@ class Memory:
         self.restore_parameters()
         if self._program:
             machine.program.insert(0, list(self._program))
-        from sim.yaskawa.cam import Cam
-
-        if isinstance(self._cam, Cam):
+        if self._cam is not None:
             machine.motion.cam = copy.deepcopy(self._cam)
         machine.data.variables = dict(self._variables)
         machine.data.arrays = {name: list(array) for name, array in self._arrays.items()}

@@ -28,6 +28,8 @@ class Figures:
     vector: tuple[int, int, int]
     home_speed: int
     cam_points: int
+    encoder_resolution: int = 100_000
+    """Largest argument of AE, counts a revolution."""
     contour_step: int = 32767
     contour_stops_at_record: bool = False
     """ST lets the executing record end and leaves the contour mode there; otherwise it decelerates at once."""
@@ -40,7 +42,7 @@ class Figures:
     stepper_fastest: int = 0
     """0: as a servo."""
     default_plane: bool = False
-    """The coordinate system is in vector mode in X and Y before it is told (SMC-2000: L12450)."""
+    """The coordinate system is in vector mode in X and Y before it is told (L11451; SMC-2000: L12450)."""
     virtual_axis: bool = False
     systems: str = "S"
 
@@ -110,6 +112,12 @@ class Model:
     """Of the answers to `XX ?` of commands that are no parameters of axes: a format, None for PF; VF when absent."""
     codes: dict[int, int] = field(default_factory=dict[int, int])
     """For codes of the family that this model does not have: what it tells instead."""
+    still_encoders: bool = False
+    """QY is refused in motion."""
+    unasked: frozenset[str] = frozenset()
+    """Commands for which `?` is refused, though others of the family take it."""
+    proper_arrays: bool = False
+    """Names of arrays begin with a capital."""
 
     @cached_property
     def _operands(self) -> dict[str, Evaluator]:

@@ -13,12 +13,14 @@ from sim.yaskawa.coordinated import Coordinated
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.homing import Homing
 from sim.yaskawa.model import Figures
-from sim.yaskawa.profile import SPEED_UNIT, Profile, first_sample, plan_jog, plan_move, plan_stop
+from sim.yaskawa.profile import Profile, first_sample, plan_jog, plan_move, plan_stop
 from sim.yaskawa.sequence import System
 from sim.yaskawa.timebase import NEVER_NS, Timebase
 from sim.yaskawa.world import World
 
 FORWARD_CODE, REVERSE_CODE, STOP_CODE, ABORT_INPUT_CODE, ABORT_CODE, ERROR_CODE = 2, 3, 4, 6, 7, 8
+LATCH_CODE, LATCH_OVERRUN_CODE, LATCH_SHORT_CODE = 40, 41, 42
+"""At the target of LT, stopped on the way to it, or too near to stop (L7151-L7159)."""
 NO_FORWARD, NO_REVERSE = 2147483647, -2147483648
 
 
@@ -195,7 +197,8 @@ class MotionControl:
         elif axis.mode == "cam":
             self.camming.disengage(axis, at)
         elif axis.moving and not axis.stopping:
-            axis.stopping, axis.ending_code = True, code
+            axis.stopping = True
+            axis.ending_code = LATCH_OVERRUN_CODE if axis.ending_code == LATCH_CODE else code
             self._note_slowing(axis, at)
             self.plan(axis, at)
 
@@ -265,10 +268,10 @@ class MotionControl:
         rate, down = profile.velocity(at), axis.acceleration("DC")
         target = axis.latched + (abs(distance) if rate >= 0 else -abs(distance))
         if rate * rate / (2 * down) > abs(target - profile.position(at)):
-            axis.stopping, axis.ending_code = True, 42
+            axis.stopping, axis.ending_code = True, LATCH_SHORT_CODE
             self.plan(axis, at)
             return
-        axis.mode, axis.target, axis.ending_code = "move", float(target), 40
+        axis.mode, axis.target, axis.ending_code = "move", float(target), LATCH_CODE
         plan_move(profile, at, axis.target, abs(rate), axis.acceleration("AC"), down)
         self.schedule(axis, at)
 
@@ -441,7 +444,3 @@ class MotionControl:
                 or (axis.mode == "cam" and self.cam.master == master.name)
             )
         ]
-
-    def velocity(self, axis: Axis, at: float) -> float:
-        """Commanded velocity in register counts/s."""
-        return axis.command_velocity(at) / SPEED_UNIT

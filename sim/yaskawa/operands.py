@@ -9,6 +9,7 @@ from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_contour import full
 from sim.yaskawa.commands_flow import breakpoint_value
 from sim.yaskawa.commands_gear import waiting
+from sim.yaskawa.commands_motion import distance
 from sim.yaskawa.commands_sequence import OPERAND_READERS, system_of
 from sim.yaskawa.commands_system import HANDLES, UNUSED
 from sim.yaskawa.context import Context
@@ -38,14 +39,22 @@ def of_axis(
     read: Callable[[Context, Axis], int],
     *,
     raw: bool = False,
+    virtual: bool = False,
     table: dict[str, Callable[[str], Evaluator]] = OPERANDS,
 ) -> None:
-    """Enter an operand of one axis; `raw` when `read` gives units of 1/65536."""
+    """Enter an operand of one axis; `raw` when `read` gives units of 1/65536. virtual: axis N has it, too."""
 
     def compile_axis(suffix: str) -> Evaluator:
         name = _axis_name(suffix)
         factor = 1 if raw else fixed.ONE
-        return lambda c: read(c, c.machine.axis(name)) * factor
+
+        def evaluate(c: Context) -> int:
+            axis = c.machine.axis(name)
+            if axis.virtual and not virtual:
+                raise CommandError(58)
+            return read(c, axis) * factor
+
+        return evaluate
 
     operand(op, table=table)(compile_axis)
 
@@ -54,13 +63,12 @@ def _register(op: str) -> None:
     def read(c: Context, axis: Axis) -> int:
         return axis.registers[op]
 
-    of_axis(op, read, raw=True)
+    of_axis(op, read, raw=True, virtual=op in SMC4000 and SMC4000[op].virtual)
 
 
 for _op in SMC4000.keys() | SMC2000.keys():
     if _op not in ("PA", "JG", "PR"):
         _register(_op)
-_register("PR")
 
 
 def _absolute_position(c: Context, axis: Axis) -> int:
@@ -72,17 +80,18 @@ def _begun(c: Context, axis: Axis) -> int:
     return int(axis.moving)
 
 
-of_axis("PA", _absolute_position)
-of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True)
-of_axis("BG", _begun)
+of_axis("PA", _absolute_position, virtual=True)
+of_axis("PR", distance, virtual=True)
+of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True, virtual=True)
+of_axis("BG", _begun, virtual=True)
 of_axis("MO", lambda c, axis: int(axis.motor_off))
-of_axis("SC", lambda c, axis: axis.stop_code)
+of_axis("SC", lambda c, axis: axis.stop_code, virtual=True)
 of_axis("TS", status.switches)
 of_axis("AL", lambda c, axis: int(axis.latch_armed))
-of_axis("TP", status.encoder)
-of_axis("DP", status.encoder)
+of_axis("TP", status.encoder, virtual=True)
+of_axis("DP", status.encoder, virtual=True)
 of_axis("IP", status.reference)
-of_axis("RP", status.reference)
+of_axis("RP", status.reference, virtual=True)
 of_axis("SH", status.reference)
 of_axis("TE", status.error)
 of_axis("TD", status.auxiliary)
@@ -93,7 +102,7 @@ of_axis("RL", status.latched)
 of_axis("RU", status.latched)
 of_axis("TV", status.velocity)
 of_axis("TT", status.volts, raw=True)
-of_axis("TY", lambda c, axis: -2147483648)
+of_axis("TY", lambda c, axis: axis.absolute)
 of_axis("GM", lambda c, axis: int(axis.gear.gantry))
 of_axis("EG", lambda c, axis: int(axis.mode == "cam"))
 of_axis("EQ", lambda c, axis: waiting(c, axis.name))
@@ -172,7 +181,7 @@ def of_machine(
 
 
 of_machine("AB", lambda c: int(not c.machine.motion.abort_input))
-of_machine("AE", lambda c: 0, ("", "X", "Y", "Z", "W"))
+of_machine("AE", lambda c: c.machine.last_encoder, ("", *LETTERS[:4], *"ABCD"))
 of_machine("BK", breakpoint_value)
 of_machine("BN", lambda c: c.machine.options.serial_number)
 of_machine("BV", lambda c: 0)
@@ -209,9 +218,14 @@ of_machine("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.v
 
 
 def _line_count(c: Context) -> int:
-    """`_LS`: minus the number of lines while no program runs (L7108)."""
-    count = len(c.machine.program.lines)
-    return count if c.machine.interpreter.any_running() else -count
+    """`_LS`: minus the number of lines while no program runs, else the line to return to (L7108)."""
+    return return_line(c) if c.machine.interpreter.any_running() else -len(c.machine.program.lines)
+
+
+def return_line(c: Context) -> int:
+    """The line after the present subroutine, 0 outside (SMC-2000: L1651)."""
+    thread = c.thread or c.machine.interpreter.threads[0]
+    return thread.stack[-1].line if thread.stack else 0
 
 
 def _own_handle(c: Context) -> int:

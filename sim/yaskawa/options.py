@@ -120,6 +120,8 @@ class Smc4000Options(Options):
     """The port that is usual for this unit: the first of `ports`."""
     handle: Literal["A", "B", "C", "D", "E", "F", "G", "H"] | None = None
     """The Ethernet handle of the first connection."""
+    absolute_encoders: dict[str, int] = Field(default_factory=dict[str, int])
+    """Per axis: what `AE` reads, counts; empty without the W option (L49)."""
     qr_axis_bytes: Literal[26, 28] = 26
     """D28: bytes of an axis block of `QR`."""
     strict_packets: bool = False
@@ -128,6 +130,10 @@ class Smc4000Options(Options):
     @property
     def axis_count(self) -> int:
         return self.axes
+
+    @property
+    def encoders(self) -> Mapping[str, int]:
+        return self.absolute_encoders
 
 
 class Unit(BaseModel):

@@ -12,6 +12,7 @@ class Parameter:
 
     quantum: step, values are cut to it toward zero. format: of the answer to `?`, None for PF. moving: may be set
     while its axis moves. magnitude: a negative value counts as positive. virtual: axis N has it. asked: takes `?`.
+    nearest: the step that is closest is taken instead.
     """
 
     low: int
@@ -23,6 +24,7 @@ class Parameter:
     magnitude: bool = False
     virtual: bool = False
     asked: bool = True
+    nearest: bool = False
 
     def accept(self, raw: int) -> int | None:
         """The value that is kept, or None when it is out of range."""
@@ -30,7 +32,9 @@ class Parameter:
             raw = abs(raw)
         if not self.low <= raw <= self.high:
             return None
-        return raw // self.quantum * self.quantum if raw >= 0 else -(-raw // self.quantum * self.quantum)
+        size = abs(raw) + (self.quantum // 2 if self.nearest else 0)
+        kept = size // self.quantum * self.quantum
+        return kept if raw >= 0 else -kept
 
 
 def parameter(low: float, high: float, default: float, step: float = 1.0, shape: str = "", **flags: bool) -> Parameter:
@@ -52,7 +56,7 @@ SMC4000: dict[str, Parameter] = {
     "JG": parameter(-12000000, 12000000, 25000, 2, virtual=True),  # L6363
     "PR": parameter(LEAST, LARGEST, 0, moving=False, virtual=True),  # L8388
     "PA": parameter(LEAST, LARGEST, 0, moving=False, virtual=True),  # L8205
-    "IT": parameter(0.004, 1, 1, 1 / 256, "1.4", virtual=True),  # L6316
+    "IT": parameter(0.004, 1, 1, 1 / 256, "1.4", virtual=True, nearest=True),  # L6316, L6358
     "KS": parameter(0.5, 16, 1.313, 1 / 32, "4.3"),  # L6655
     "LT": parameter(LEAST, LARGEST, 0),  # L7138
     "TW": parameter(-1, 32766, 32766),  # L11047
@@ -60,7 +64,7 @@ SMC4000: dict[str, Parameter] = {
     "GR": parameter(-127.9999, 127.9999, 0, FINE, "3.4", virtual=True),  # L5535
     "BL": parameter(LEAST, LARGEST, LEAST),  # L3180
     "FL": parameter(LEAST, LARGEST, LARGEST),  # L5279
-    "CE": parameter(0, 15, 0, shape="2.0", moving=False),  # L3490
+    "CE": parameter(0, 15, 0, shape="2.0"),  # L3490, L3534
     "DV": parameter(0, 1, 0, shape="1.0"),  # L4332
     "ER": parameter(0, 32767, 16384),  # L4957
     "FA": parameter(0, 8191, 0, 0.25, "4.0"),  # L5112

@@ -208,8 +208,14 @@ class Port:
         self.emit(text)
 
     def emit(self, text: str) -> None:
-        if self.open and text:
-            self.send(text.encode("latin-1", "replace"))
+        if not self.open or not text:
+            return
+        data = text.encode("latin-1", "replace")
+        if self.kind != "udp" or len(data) <= LONGEST_PACKET:
+            self.send(data)
+            return
+        for start in range(0, len(data), LONGEST_PACKET):
+            self.send(data[start : start + LONGEST_PACKET])
 
     # The end
 
@@ -217,13 +223,13 @@ class Port:
         """The other side has gone."""
         if self.open:
             self.open = False
-            self.owner.gone(self)
+            self.owner.gone(self, lost=True)
 
     def hang_up(self) -> None:
         """The controller ends the connection."""
         if self.open:
             self.open = False
-            self.owner.gone(self)
+            self.owner.gone(self, lost=False)
             self.closed()
 
 
@@ -274,15 +280,15 @@ class Ports:
         """Letters of the handles that are free."""
         return [name for name in self.machine.model.handles if name not in self.handles and name not in self.outgoing]
 
-    def gone(self, port: Port) -> None:
-        """Forget a connection; a lost TCP connection may call #TCPERR."""
+    def gone(self, port: Port, *, lost: bool) -> None:
+        """Forget a connection; a TCP connection that the other side has lost may call #TCPERR."""
         if port is self.serial:
             self.serial = None
         elif port is self.second:
             self.second = None
         elif self.handles.get(port.name) is port:
             del self.handles[port.name]
-            if port.kind == "tcp" and self.machine.powered:
+            if port.kind == "tcp" and lost and self.machine.powered:
                 self.lost_handle = ord(port.name) - ord("A")
                 self.machine.interpreter.raise_event("TCPERR")
         self._refresh()
@@ -311,6 +317,10 @@ class Ports:
     def message(self, text: str) -> None:
         """Unsolicited text, to the port that `CF` names (L3556); `CW 1` marks its characters (L3930)."""
         self.tell(self.machine.unsolicited_port, text)
+
+    def opened(self, name: str) -> bool:
+        """Whether `MG` may name a port: the serial ones always, a handle when somebody is on it (L10421)."""
+        return name not in self.machine.model.handles or name in self.handles or name in self.outgoing
 
     def tell(self, name: str, text: str) -> None:
         """Text for one port; it is lost when the port is not open."""

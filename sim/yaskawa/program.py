@@ -30,7 +30,9 @@ class Program:
         self.labels.clear()
 
     def insert(self, at: int, lines: list[str]) -> None:
-        """Put lines in before line `at`; refused (60, 61, 62), the memory stays as it was."""
+        """Put lines in before line `at`; refused (60, 61, 62, and 10: L14436), the memory stays as it was."""
+        if any(not line.strip() or "\t" in line for line in lines):
+            raise CommandError(10)
         if len(self.lines) + len(lines) > self.room.lines or any(len(line) > LINE_LENGTH for line in lines):
             raise CommandError(60)
         merged = self.lines[:at] + lines + self.lines[at:]

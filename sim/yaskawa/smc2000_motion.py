@@ -1,17 +1,17 @@
 """Motion commands that the SMC-2000 has otherwise: targets, VM, AD, MC, AL, CN, absolute encoders (L6754-L12820)."""
 
 from sim.yaskawa import fixed
-from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, parse_form, split, values
+from sim.yaskawa.arguments import LETTERS, parse_axes, parse_fields, values
 from sim.yaskawa.axis import Axis
-from sim.yaskawa.commands_motion import busy, chosen, increment
-from sim.yaskawa.commands_parameters import arm, form_command, parameter_writer, targets
+from sim.yaskawa.commands_motion import chosen, distance, flag_query, increment
+from sim.yaskawa.commands_parameters import arm, form_command, parameter_writer
 from sim.yaskawa.commands_sequence import tangent, vector_mode
 from sim.yaskawa.commands_status import encoder, error, tell, volts
 from sim.yaskawa.commands_trip import enter_place, travelled
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.formats import Format
-from sim.yaskawa.registry import SMC2000_COMMANDS, Outcome, Runner, bare, command
+from sim.yaskawa.registry import SMC2000_COMMANDS, Outcome, Runner, command
 from sim.yaskawa.trippoints import motion_complete
 
 _INCREMENT = Format(7, 0)
@@ -24,15 +24,6 @@ def destination(c: Context, axis: Axis) -> int:
     if axis.mode == "move":
         return fixed.rounded(axis.target)
     return axis.reported(axis.reference(c.machine.now()))
-
-
-def distance(c: Context, axis: Axis) -> int:
-    """`PR ?`, `_PR`: the incremental distance, also when PA has set it (L10845)."""
-    if axis.mode == "move":
-        return fixed.rounded(axis.target) - axis.move_start
-    if axis.armed == "PA":
-        return fixed.truncated(axis.registers["PA"]) - axis.reference(c.machine.now())
-    return fixed.truncated(axis.registers["PR"])
 
 
 def _show_destination(c: Context, axis: Axis) -> str:
@@ -85,8 +76,7 @@ def _motion_complete(text: str) -> Runner:
 @command("AL", table=SMC2000_COMMANDS)
 def _arm_latch(text: str) -> Runner:
     if "?" in text:
-        asked = [LETTERS[index] for index, mark in enumerate(split(text)) if mark == "?"]
-        return lambda c: ",".join(c.machine.show_whole(int(c.machine.axis(name).latch_armed), 1) for name in asked)
+        return flag_query(text, lambda axis: axis.latch_armed)
     names = parse_axes(text)
 
     def run(c: Context) -> Outcome:
@@ -125,60 +115,3 @@ def _tangent(text: str) -> Runner:
 
 tell("TE", error, table=SMC2000_COMMANDS, asked=False)  # L11850
 tell("TT", volts, Format(1, 4), table=SMC2000_COMMANDS, asked=False)  # L12179
-tell("TY", lambda c, axis: axis.absolute, Format(10, 0), table=SMC2000_COMMANDS)  # L12250
-
-
-# Absolute encoders
-
-
-@command("AE", table=SMC2000_COMMANDS)
-def _absolute_encoder(text: str) -> Runner:
-    """The encoder's position becomes the axis' (L6959); the argument is its resolution."""
-    form = parse_form(text)
-
-    def run(c: Context) -> Outcome:
-        given: list[tuple[Axis, int]] = []
-        for name, field in form:
-            if field is None or isinstance(field, str):
-                raise CommandError(51)
-            resolution = fixed.truncated(field(c))
-            if not 1 <= abs(resolution) <= 100_000:
-                raise CommandError(6)
-            given += [(axis, resolution) for axis in targets(c, name)]
-        if not given:
-            raise CommandError(50)
-        for axis, resolution in given:
-            _read_encoder(c, axis, resolution)
-        return None
-
-    return run
-
-
-def _read_encoder(c: Context, axis: Axis, resolution: int) -> None:
-    encoders = c.machine.options.encoders
-    if not encoders:
-        raise CommandError(114)
-    if axis.moving:
-        raise busy(axis)
-    if not axis.motor_off:
-        raise CommandError(115)
-    c.machine.last_encoder = axis.index
-    place = encoders.get(axis.name)
-    if place is None:
-        raise CommandError(117)
-    axis.absolute = place if resolution > 0 else -place
-    axis.turns = axis.absolute // abs(resolution)
-    axis.define(c.machine.now(), axis.absolute)
-
-
-@command("QY", table=SMC2000_COMMANDS)
-def _encoder_text(text: str) -> Runner:
-    """What the encoder read last has sent: its revolutions (L11003)."""
-    bare(text.removeprefix("?"))
-
-    def run(c: Context) -> Outcome:
-        if not c.machine.options.encoders:
-            raise CommandError(114)
-        return f"P{c.machine.motion.real[c.machine.last_encoder].turns:+06d}"
-
-    return run

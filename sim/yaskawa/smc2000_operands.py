@@ -1,27 +1,19 @@
 """Operands that the SMC-2000 alone has, or has otherwise (L1561-L1735)."""
 
 from sim.yaskawa import fixed
-from sim.yaskawa.axis import Axis
 from sim.yaskawa.commands_status import encoder
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import Evaluator
-from sim.yaskawa.operands import of_axis, of_machine
+from sim.yaskawa.operands import of_axis, of_machine, return_line
 from sim.yaskawa.registry import SMC2000_OPERANDS, operand
-from sim.yaskawa.smc2000_motion import destination, distance
+from sim.yaskawa.smc2000_motion import destination
 
 EEPROM_BYTES = 1_048_576
 
 
-def _absolute(c: Context, axis: Axis) -> int:
-    return axis.absolute
-
-
 of_axis("PA", destination, table=SMC2000_OPERANDS)
-of_axis("PR", distance, table=SMC2000_OPERANDS)
 of_axis("IP", encoder, table=SMC2000_OPERANDS)
-of_axis("TY", _absolute, table=SMC2000_OPERANDS)
-of_machine("AE", lambda c: c.machine.last_encoder, table=SMC2000_OPERANDS)
 of_machine("BV", lambda c: EEPROM_BYTES, table=SMC2000_OPERANDS)
 of_machine("ID", lambda c: 20000 + len(c.machine.letters), table=SMC2000_OPERANDS)
 of_machine("VM", lambda c: c.machine.motion.systems["S"].free(c.machine.now()), table=SMC2000_OPERANDS)
@@ -40,13 +32,7 @@ def _ellipse(suffix: str) -> Evaluator:
     return read
 
 
-def _return_line(c: Context) -> int:
-    """`_LS`: the line after the present subroutine, 0 outside (L1651)."""
-    thread = c.thread or c.machine.interpreter.threads[0]
-    return thread.stack[-1].line if thread.stack else 0
-
-
-of_machine("LS", _return_line, table=SMC2000_OPERANDS)
+of_machine("LS", return_line, table=SMC2000_OPERANDS)
 
 
 @operand("QY", table=SMC2000_OPERANDS)

@@ -1,4 +1,4 @@
-"""Programs, arrays, lists, formats and reset of the SMC-2000: LA LL QU PF TB RS (L9826, L10003, L10807, L10969)."""
+"""Programs, arrays, lists and reset of the SMC-2000: LA LL QU TB RS (L9826, L10003, L10807, L10969)."""
 
 from sim.yaskawa import fixed
 from sim.yaskawa.arguments import parse_fields, split, values
@@ -7,8 +7,7 @@ from sim.yaskawa.commands_status import general, report, tell_code
 from sim.yaskawa.commands_system import mark_messages
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
-from sim.yaskawa.expressions import compile_expression, integer
-from sim.yaskawa.formats import Format
+from sim.yaskawa.expressions import integer
 from sim.yaskawa.ports import END_OF_TEXT
 from sim.yaskawa.registry import SMC2000_COMMANDS, Outcome, Runner, bare, command
 from sim.yaskawa.statements import Raw
@@ -42,20 +41,6 @@ def _upload_array(text: str) -> Runner:
             c.machine.ports.message(written)
             return None
         return Raw(written)
-
-    return run
-
-
-@command("PF", table=SMC2000_COMMANDS)
-def _position_format(text: str) -> Runner:
-    """One format for all axes; the manual's own session gives one for each (L1502): the first counts."""
-    if text == "?":
-        return lambda c: c.machine.show("PF", c.machine.position_format.value)
-    value = compile_expression(split(text)[0])
-
-    def run(c: Context) -> Outcome:
-        c.machine.position_format = Format.of(value(c))
-        return None
 
     return run
 

@@ -206,7 +206,7 @@ def local_format(text: str) -> Callable[["Context", int], str]:
 
 def _variable_axis(compact: str) -> Runner:
     """`~a=n`: what the designator `~a` stands for (L7780)."""
-    if len(compact) < 4 or compact[2] != "=" or not compact[1].islower():
+    if len(compact) < 4 or compact[2] != "=" or compact[1] not in "abcd":
         raise CommandError(4)
     name = compact[:2]
     text = compact[3:]

@@ -108,11 +108,18 @@ def path_reached(system: "System", distance: float) -> Trip:
 
 
 def motion_complete(axes: list[Axis], started: int) -> Trip:
-    """MC: profile done and encoder there, or the TW timeout with stop code 99 (L7381)."""
+    """MC: profile done and encoder there (a stepper: all pulses out), or the TW timeout with stop code 99 (L7381)."""
+
+    def done(axis: Axis) -> int:
+        """When the last pulse of a stepper is out (L14131)."""
+        profile = axis.profile
+        return int(profile.last_sample()) + axis.pulse_delay if profile is not None and profile.end != inf else 0
 
     def waiting(axis: Axis, now: int) -> bool:
         if axis.moving:
             return True
+        if axis.stepper:
+            return now < done(axis)
         if axis.actual(now) == axis.reference(now):
             return False
         limit = axis.registers["TW"] >> 16
@@ -132,6 +139,9 @@ def motion_complete(axes: list[Axis], started: int) -> Trip:
     def due(machine: "Machine", now: int) -> float:
         if any(axis.moving for axis in axes):
             return inf
+        pulses = [done(axis) for axis in axes if axis.stepper and done(axis) > now]
+        if pulses:
+            return max(pulses)
         ends = [
             max(started, int(axis.profile.last_sample()) if axis.profile is not None else started)
             + (axis.registers["TW"] >> 16)
