@@ -94,6 +94,7 @@ class Presenter:
             seq=self._state_seq,
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
+            read_fleet_ns=None if reading is None else self._in_fleet_time(reading.at_ns),
             mode=self.mode(),
             axes={name: self._axis(name, reading) for name in self._config.axes},
             inputs=_named(self._config.inputs, reading.inputs) if reading else {},
@@ -166,8 +167,11 @@ class Presenter:
         )
 
     def _fleet_ns(self) -> int | None:
+        return self._in_fleet_time(self._clock.now_ns())
+
+    def _in_fleet_time(self, host_ns: int) -> int | None:
         scale = self._seat.scale()
-        return None if scale is None else scale.fleet_ns(self._clock.now_ns())
+        return None if scale is None else scale.fleet_ns(host_ns)
 
     # Events
 

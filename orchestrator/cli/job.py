@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, errors, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -129,6 +129,40 @@ def report(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
             errors.print(f"[bold red]tutti:[/] job {job_id} has not ended; see `tutti job show {job_id}`")
             raise SystemExit(FAILED)
         print_json(found.to_plain()) if as_json else console.print(report_tables(found))
+
+    with_fleet(connect, fleet, act)
+
+
+@job.command(epilog="Example: tutti job plot 3f2a91c0 --out move.png")
+@click.argument("job_id")
+@click.option("--step", type=click.IntRange(0), default=None, help="One motion step only.")
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="The picture; default: JOB_ID-STEP.png.")
+@fleet_options
+def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: str | None) -> None:
+    """Plot planned against polled positions of a job's motion steps, a PNG each.
+
+    The newest jobs are kept for that. With --out and several steps their numbers are put before the suffix.
+    """
+    from orchestrator.client import Tutti
+    from orchestrator.monitor.job_plot import plot_step
+
+    async def act(tutti: Tutti) -> None:
+        shown = await tutti.show(job_id)
+        assert shown.entry is not None
+        wanted = [step] if step is not None else range(len(shown.job.steps) if shown.job else 0)
+        found = [each for index in wanted if (each := await tutti.recording(shown.entry.id, index)) is not None]
+        if not found:
+            fail(f"nothing is recorded of job {job_id}" + ("" if step is None else f" step {step}"), FAILED)
+        for each in found:
+            path = out or Path(f"{job_id}.png")
+            if out is None or len(found) > 1:
+                path = path.with_stem(f"{path.stem}-{each.step}")
+            title = f"job {job_id} {shown.entry.name!r}, step {each.step} {each.name}".rstrip()
+            try:
+                plot_step(each, title, path)
+            except (OSError, ValueError) as error:
+                fail(f"{path} can not be written: {error}", FAILED)
+            console.print(f"step {each.step}: {path}", highlight=False)
 
     with_fleet(connect, fleet, act)
 

@@ -17,8 +17,19 @@ from orchestrator.model.base import Model
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
-from orchestrator.model.report import ENDED, JobReport, Progress, QueueState
-from orchestrator.model.service import JobRef, JobShown, ListJobs, Reload, Reloaded, StopFleet, Submit, Submitted
+from orchestrator.model.report import ENDED, JobReport, Progress, QueueState, StepRecording
+from orchestrator.model.service import (
+    JobRef,
+    JobShown,
+    ListJobs,
+    Recorded,
+    RecordingRef,
+    Reload,
+    Reloaded,
+    StopFleet,
+    Submit,
+    Submitted,
+)
 from orchestrator.model.state import ControllerState, Info
 
 if TYPE_CHECKING:
@@ -94,6 +105,11 @@ class Tutti:
     async def show(self, job_id: str) -> JobShown:
         """Everything the journal has of a job. Raises `Refused`."""
         return await self.service("show", JobRef(**self.fields(), job_id=job_id), JobShown)
+
+    async def recording(self, job_id: str, step: int) -> StepRecording | None:
+        """What a motion step was planned to do and what polls have shown of it; None if nothing is kept of it."""
+        request = RecordingRef(**self.fields(), job_id=job_id, step=step)
+        return (await self.service("recording", request, Recorded)).recording
 
     async def cancel(self, job_id: str) -> None:
         """Cancel a job, queued or running. Raises `Refused`."""

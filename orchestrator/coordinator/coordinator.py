@@ -33,6 +33,8 @@ from orchestrator.model.service import (
     JobRef,
     JobShown,
     ListJobs,
+    Recorded,
+    RecordingRef,
     Reload,
     Reloaded,
     StopFleet,
@@ -104,6 +106,7 @@ class Coordinator:
             "submit": (Submit, self._submit),
             "list": (ListJobs, self._list),
             "show": (JobRef, self._show),
+            "recording": (RecordingRef, self._recording),
             "cancel": (JobRef, self._cancel),
             "stop": (StopFleet, self._stop),
             "take": (Take, self._take),
@@ -251,6 +254,10 @@ class Coordinator:
             report=report,
             transitions=await runs(journal.transitions, row.id),
         )
+
+    async def _recording(self, request: RecordingRef) -> Model:
+        recording = await self._court.runs(self._court.journal.recording, request.job_id, request.step)
+        return Recorded(recording=recording)
 
     async def _cancel(self, request: JobRef) -> Model:
         return Reply(refused=await self.runner.cancel(request.job_id, request.actor))

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from orchestrator.model.job import Job
-from orchestrator.model.report import ENDED, JobReport, JobState, Transition
+from orchestrator.model.report import ENDED, JobReport, JobState, StepRecording, Transition
 
 T = TypeVar("T")
-VERSION = 1
+VERSION = 2
+RECORDED_JOBS = 100  # the newest; recordings are large, and reports are what lasts
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -41,6 +42,15 @@ CREATE TABLE decisions (
 ) STRICT;
 CREATE TABLE reports (job_id TEXT PRIMARY KEY REFERENCES jobs (id), body TEXT NOT NULL) STRICT;
 """
+# What leads from the schema of a version to that of the next; a new journal goes through all of them.
+_MIGRATIONS = {
+    1: """
+CREATE TABLE recordings (
+  job_id TEXT NOT NULL REFERENCES jobs (id), step INTEGER NOT NULL, body TEXT NOT NULL,
+  PRIMARY KEY (job_id, step)
+) STRICT;
+"""
+}
 
 
 class JournalError(Exception):
@@ -72,10 +82,12 @@ class Journal:
             self._db.execute("PRAGMA synchronous=FULL")
             self._db.execute("PRAGMA foreign_keys=ON")
             version = self._db.execute("PRAGMA user_version").fetchone()[0]
-            if version == 0:
-                self._db.executescript(f"BEGIN; {_SCHEMA} PRAGMA user_version={VERSION}; COMMIT;")
-            elif version != VERSION:
+            if version > VERSION:
                 raise JournalError(f"{path}: schema {version} is newer than this Tutti's {VERSION}; use a newer Tutti")
+            steps = "" if version else _SCHEMA
+            steps += "".join(_MIGRATIONS[each] for each in range(max(version, 1), VERSION))
+            if steps:
+                self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
         except (sqlite3.Error, OSError) as error:
             raise JournalError(
                 f"{path}: the journal can not be used ({error}); move it aside to begin a new one, or mend it"
@@ -179,6 +191,22 @@ class Journal:
     def report(self, job_id: str) -> JobReport | None:
         row = self._db.execute("SELECT body FROM reports WHERE job_id = ?", (job_id,)).fetchone()
         return None if row is None else JobReport.model_validate_json(row[0])
+
+    def record(self, job_id: str, recording: StepRecording) -> None:
+        """Keep what a step has done, and let go of what old jobs have."""
+        with self._transaction():
+            self._db.execute(
+                "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
+                (job_id, recording.step, recording.model_dump_json()),
+            )
+            self._db.execute(
+                "DELETE FROM recordings WHERE job_id NOT IN (SELECT id FROM jobs ORDER BY number DESC LIMIT ?)",
+                (RECORDED_JOBS,),
+            )
+
+    def recording(self, job_id: str, step: int) -> StepRecording | None:
+        row = self._db.execute("SELECT body FROM recordings WHERE job_id = ? AND step = ?", (job_id, step)).fetchone()
+        return None if row is None else StepRecording.model_validate_json(row[0])
 
     # Inside
 

@@ -12,6 +12,7 @@ from orchestrator.coordinator.budget import judge, make_budget, skew
 from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.permits import Guard, Permits
+from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.targets import Refuse, Resolved, refuse, resolve
 from orchestrator.coordinator.view import FleetView
@@ -115,6 +116,7 @@ class Motion:
         moving.guard = self._permits.guard(moving.plan.profiles)
         unlisten = self._view.listen(moving.events.put_nowait)
         unguard = self._permits.listen(lambda: moving.events.put_nowait(None))
+        recorder = Recorder(self._view, moving.plan.profiles)
         try:
             await self._arm_and_release(moving, job, step, on_state)
             await on_state("running", "")
@@ -123,6 +125,8 @@ class Motion:
         finally:
             unlisten()
             unguard()
+            recording = recorder.done(index, step.name or "", moving.t0_fleet_ns)
+        await self._runs(self._journal.record, job_id, recording)
         if report.state == "done":
             for axis, (exact, counts) in moving.resolved.exact.items():
                 self.targets.reached(axis, exact, counts)

@@ -78,9 +78,10 @@ class FleetView:
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
-    def listen_states(self, listener: Callable[[ControllerState], None]) -> None:
-        """Call `listener` with every state."""
+    def listen_states(self, listener: Callable[[ControllerState], None]) -> Callable[[], None]:
+        """Call `listener` with every state; the result ends that."""
         self._state_listeners.append(listener)
+        return lambda: self._state_listeners.remove(listener)
 
     # Inside
 
@@ -94,7 +95,7 @@ class FleetView:
             return
         self._states[state.controller] = state
         self._heard_ns[state.controller] = self._clock.now_ns()
-        for listener in self._state_listeners:
+        for listener in list(self._state_listeners):
             listener(state)
 
     def _take_event(self, sample: Sample) -> None:

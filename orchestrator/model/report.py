@@ -6,6 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import Refusal, Term
+from orchestrator.model.profile import Profile
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
 
 JobState = Literal[
@@ -106,6 +107,25 @@ class StepReport(Model):
     end_skew: Skew | None = None
     verdict: Literal["green", "amber", "red", "none"] = "none"
     refused: Refusal | None = None
+
+
+class AxisRecording(Model):
+    """One axis of a step: its profile (counts), and what polls have seen: (fleet ns, actual counts)."""
+
+    unit: str
+    counts_per_unit: float
+    profile: Profile
+    sampled: list[tuple[Int53, float]]
+
+
+class StepRecording(Model):
+    """What a motion step was planned to do and what polls have shown of it. Kept beside the report, which is short."""
+
+    schema_: Literal["tutti.recording/1"] = Field(default="tutti.recording/1", alias="schema")
+    step: int
+    name: str
+    t0_fleet_ns: Int53
+    axes: dict[str, AxisRecording]
 
 
 class JobReport(Model):

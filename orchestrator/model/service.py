@@ -6,7 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
-from orchestrator.model.report import JobReport, QueueEntry, Transition
+from orchestrator.model.report import JobReport, QueueEntry, StepRecording, Transition
 
 
 class Submit(Request):
@@ -33,6 +33,18 @@ class JobShown(Reply):
     job: Job | None = None
     report: JobReport | None = None
     transitions: list[Transition] = Field(default=[])
+
+
+class RecordingRef(JobRef):
+    """The recording of one motion step of a job."""
+
+    step: int = Field(ge=0)
+
+
+class Recorded(Reply):
+    """None: the step moved nothing, or its recording is not kept any more."""
+
+    recording: StepRecording | None = None
 
 
 class ListJobs(Request):

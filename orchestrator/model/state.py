@@ -91,6 +91,7 @@ class ControllerState(Model):
     seq: Int53
     utc: str
     fleet_ns: Int53 | None
+    read_fleet_ns: Int53 | None = Field(default=None, description="When the answer that it rests on had come.")
     mode: Mode
     axes: dict[str, AxisState]
     inputs: dict[str, bool]
