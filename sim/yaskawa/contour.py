@@ -62,8 +62,9 @@ class Contour:
         return self._bases[slot][index] + record.increments[index] * share
 
     def velocity(self, index: int, at: float) -> float:
+        """Of the record that runs; in the instant in which one ends, its own: the next one may follow."""
         slot = bisect_right(self._starts, at) - 1
-        if slot < 0 or at >= self._starts[slot] + self._records[slot].samples:
+        if slot < 0 or at > self._starts[slot] + self._records[slot].samples:
             return 0.0
         return self._records[slot].increments[index] / self._records[slot].samples
 

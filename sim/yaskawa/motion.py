@@ -87,6 +87,7 @@ class MotionControl:
             axis.registers["FL"] != fixed.whole(NO_FORWARD)
             or axis.registers["BL"] != fixed.whole(NO_REVERSE)
             or axis.name in self.world.travel
+            or self.world.limits.get(axis.name, "none") != "none"
         )
 
     def _error_limit(self, axis: Axis) -> int:
