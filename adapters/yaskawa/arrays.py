@@ -10,6 +10,7 @@ from adapters.yaskawa.session import MAX_PACKET, Refused, Session
 
 NAMES = (*(array(index) for index in range(len(RECORD_LETTERS))), TAIL)
 ALLOCATING = len(NAMES) + 1  # exchanges
+SEPARATOR = 2  # bytes between two elements on their way down
 UP = 250  # elements asked back at once
 FORMAT = 5  # digits of an element that is read back (PF)
 FORMATTING = 3  # exchanges: the format that was set, ours, and that again
@@ -57,10 +58,11 @@ async def _compare(session: Session, arrays: Mapping[str, Sequence[int]]) -> Non
     await session.tell(f"PF {before:.1f}")
 
 
-def exchanges(arrays: Mapping[str, Sequence[int]]) -> int:
-    """How many exchanges `load` takes."""
-    down = sum(len(_parts(values)) for values in arrays.values())
-    return ALLOCATING + down + FORMATTING + sum(-(-len(values) // UP) for values in arrays.values())
+def exchanges(count: int, lengths: Sequence[int]) -> int:
+    """How many exchanges `load` takes at the most. count: elements of an array; lengths: of one array each, the digits
+    of its largest."""
+    down = sum(-(-count // ((MAX_PACKET - 1) // (digits + 1 + SEPARATOR))) for digits in lengths)
+    return ALLOCATING + FORMATTING + down + len(lengths) * -(-count // UP)
 
 
 def _parts(values: Sequence[int]) -> list[tuple[int, list[int]]]:
@@ -68,7 +70,7 @@ def _parts(values: Sequence[int]) -> list[tuple[int, list[int]]]:
     parts: list[tuple[int, list[int]]] = []
     used = MAX_PACKET
     for index, value in enumerate(values):
-        size = len(str(value)) + 2
+        size = len(str(value)) + SEPARATOR
         if used + size >= MAX_PACKET:
             parts.append((index, []))
             used = 0

@@ -1,9 +1,9 @@
 """Profiles turned into what the controller executes, and what is promised about it.
 
 The rule, for all axes of a step together, because one begin starts them: independent moves (PA, SP, AC, DC) when the
-registers make every trapezoid last as planned to half a sample, or a little longer where a limit holds it (the plan
-follows that), and keep near its path; else a contour. A step of trapezoids that no contour can hold either is made by
-the registers all the same, and its durations say how far they are off.
+registers make every trapezoid last as planned to a fifth of a sample, or a little longer where a limit holds it (the
+plan follows that), and keep near its path; else a contour. A step of trapezoids that no contour can hold either is
+made by the registers all the same, and its durations say how far they are off.
 """
 
 import math
@@ -27,8 +27,8 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
 STOP_EXCHANGES = 3  # a stop of motion is three commands
-CONTOUR_EXCHANGES = 6  # DC and its reading back, XN, XM, XDT beyond what an independent move takes
-OFF_SAMPLES = 0.5  # an independent move may last so much longer or shorter than planned
+CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their reading back and the short array, beyond an independent move's
+OFF_SAMPLES = 0.2  # an independent move may last so much longer or shorter than planned
 STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan is stretched to it
 SKEW_SAMPLES = 2.0  # and be so far from its plan on the way, at its peak speed,
 NEAR_COUNTS = 2.0  # or so many counts
@@ -264,11 +264,16 @@ def _promise(
             # A stop brakes with the move's own DC, which a gentle move has set lower than the axis's limit.
             brakes_ns.append(shape.speed / shape.down * RAMP_UNIT / SPEED_UNIT * tick_ns)
         elif isinstance(load, Records) and index in load.ends:
-            lengths[axis] = samples[axis] = load.ends[index]
+            planned = profile.duration_s * 1e9 / tick_ns
+            samples[axis] = load.ends[index]
+            # The path is the plan's own; only its last count waits for a record to end.
+            lengths[axis] = planned if abs(samples[axis] - planned) <= 1.0 else samples[axis]
             errors[axis] = 1.0 + load.contour.sag_counts[axis]
             brakes_ns.append(profile.peak_velocity * tick_ns / load.brakes[index] * RAMP_UNIT * tick_ns * 1e-9)
     if isinstance(load, Records):
-        loading = arrays.exchanges(load.arrays(0.0, tick_ns)) + CONTOUR_EXCHANGES
+        longest_s = tick_ns * 1e-9 * (1 << load.contour.interval)
+        digits = [len(str(round(profile.peak_velocity * longest_s) + 2)) for profile in load.profiles.values()]
+        loading = arrays.exchanges(load.contour.count, digits) + CONTOUR_EXCHANGES
         arm_ns += loading * options.exchange_ns
     moves = tuple(
         AxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])

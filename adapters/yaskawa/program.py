@@ -15,7 +15,8 @@ Names begin with X and no op-code, so that no assignment can be taken for a comm
     XT0    sample to begin after            XGO    1: the gate is open
     XARM   XT0, once the program waits      XOK    1: went through the gate in time
     XLATE  1: the gate was shut; no start   XACT   sample in which the begin had been carried out; 0 before
-    XE1..4 sample in which an axis ended    XDONE  1: all axes have ended
+    XE1..4 sample in which an axis (of a contour: its first one, all of it) ended
+    XDONE  1: all axes have ended
     XDL    sample in which the dog bites    XDOG   1: it has
     XN     records of full length           XM     all records
     XDT    DT of the full ones              XI     next record
@@ -89,7 +90,6 @@ def _let_through() -> tuple[str, str]:
 def _contour(mask: int, axes: int) -> list[str]:
     """Contour mode is left by DT 0 and CD 0 (L4274), which wait behind the last record like one."""
     chosen = [index for index in range(axes) if mask >> index & 1]
-    ends = ";".join(f"XE{index + 1}=XE{chosen[0] + 1}" for index in chosen[1:])
 
     def take(element: str) -> str:
         return "CD " + ",".join(f"{array(k)}[{element}]" if k in chosen else "" for k in range(chosen[-1] + 1))
@@ -103,5 +103,5 @@ def _contour(mask: int, axes: int) -> list[str]:
         f"#T{mask};JP #U{mask},XI>=XM",
         f"WC;DT {TAIL}[XI-XN];{take('XI')};XI=XI+1;JP #T{mask}",
         f"#U{mask};WC;DT 0;CD 0",
-        f"WC;XE{chosen[0] + 1}=TIME;{ends + ';' if ends else ''}XDONE=1;EN",
+        f"WC;XE{chosen[0] + 1}=TIME;XDONE=1;EN",
     ]

@@ -266,34 +266,35 @@ class Start:
         profile was through, counted from its start. Axes that end within a contour read as moving until all of it is
         over, but ended as much earlier as their records are fewer.
         """
-        moves, load = loaded.lowered.moves, loaded.lowered.load
+        way, load = loaded.lowered.way, loaded.lowered.load
+        contour = load.contour if isinstance(load, Records) else None
+        # A contour has one stamp for all its axes. The line for all of them would be too long (L12254).
+        names = [f"XE{move.index + 1}" for move in way]
+        asked = names if contour is None else [names[0], "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
-            stamps, _ = await self._device.session.numbers(
-                "XDONE", "XACT", *(f"XE{move.index + 1}" for move in moves if move.samples)
-            )
-            if stamps[0]:
+            (done, *values), _ = await self._device.session.numbers("XDONE", *asked)
+            if done:
                 break
             if self._clock.now_ns() > until_ns:
                 return ""
             # The axes are through, the program's last lines not yet.
             await sleep_ns(self._clock, SETTLE_NS)
         mapping = self._device.samples.mapping() or loaded.mapping
-        acted, *ends = (int(stamp) for stamp in stamps[1:])
-        total = load.contour.instants[-1] if isinstance(load, Records) else None
-        for move in moves:
+        total = 0 if contour is None else contour.instants[-1]
+        for move in loaded.lowered.moves:
             if not move.samples:
                 ended[move.axis] = loaded.started[move.axis]
-        for move, stamp in zip(loaded.lowered.way, ends, strict=True):
+        for place, move in enumerate(way):
             start, seen = loaded.started[move.axis], ended[move.axis]
             not_before_ns = start.earliest_ns + round((move.samples - 1) * mapping.tick_ns)
-            if total is None:
-                by_ns = mapping.host_ns(stamp + 1)
+            if contour is None:
+                by_ns = mapping.host_ns(int(values[place]) + 1)
                 not_before_ns = max(seen.earliest_ns, not_before_ns)
             else:
-                by_ns = mapping.host_ns(stamp + 1 - total + move.samples)
+                by_ns = mapping.host_ns(int(values[0]) + 1 - total + move.samples)
             ended[move.axis] = Span(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
-        late = 0 if total is None else ends[0] - acted - total
+        late = 0 if contour is None else int(values[0] - values[1]) - total
         if late > LATE_TICKS:
             return (
                 f"the contour ended {late} samples late: its records came too slowly; raise the controller's option "

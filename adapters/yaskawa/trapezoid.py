@@ -21,6 +21,7 @@ NOTHING_S = 1e-9  # a shorter segment is one that the planner left empty
 NEIGHBOURS = 6  # speeds on either side of the planned one, and ramps on either side of its own
 FINALISTS = 4  # candidates whose distance to the plan is worked out in full
 NEAR = 0.02  # samples that a duration may be off for nothing: less than anybody can see of it
+GOOD = 0.1  # samples off, in time or way, that no further search is needed for
 # A sample too many or too few counts for the way of so many samples: the end is what others wait for.
 OFF_WEIGHT = 10.0
 
@@ -120,21 +121,27 @@ def fit(name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Mode
     plan_speed = way / (planned - ramp)
     plan = _Law.of(way, plan_speed, plan_speed / ramp, plan_speed / ramp)
     weight = OFF_WEIGHT * plan.peak
-    ranked = [
-        (weight * max(0.0, abs(length - planned) - NEAR) + apart, speed, up, down)
-        for speed, up, down in set(_candidates(plan, planned, top_speed, top_ramp, model))
-        for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)]
-    ]
+
+    def rank(candidates: Iterator[tuple[int, int, int]]) -> list[tuple[float, int, int, int]]:
+        return [
+            (weight * max(0.0, abs(length - planned) - NEAR) + apart, speed, up, down)
+            for speed, up, down in set(candidates)
+            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)]
+        ]
+
+    ranked = rank(_by_speed(plan, planned, top_speed, top_ramp, model))
+    if min(ranked)[0] > GOOD * plan.peak:
+        ranked += rank(_by_ramps(plan, planned, top_speed, top_ramp, model))
     best: Trapezoid | None = None
     best_rank = math.inf
     for _, speed, up, down in heapq.nsmallest(FINALISTS, ranked):
         law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
         off = law.length - planned
         error = _path_error(profile, law, tick_s)
-        rank = weight * max(0.0, abs(off) - NEAR) + error
-        if rank < best_rank:
+        real_rank = weight * max(0.0, abs(off) - NEAR) + error
+        if real_rank < best_rank:
             at_limit = off > 0.0 and (speed == top_speed or up == top_ramp)
-            best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, error), rank
+            best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, error), real_rank
     assert best is not None
     return best
 
@@ -163,39 +170,44 @@ def _down(value: float, step: int, most: int) -> int:
     return min(int(value // step) * step, most)
 
 
-def _candidates(
+def _ramps(value: float, top_ramp: int, model: Model) -> set[int]:
+    """Values of AC and DC about a ramp in counts/sample²."""
+    middle = int(min(value * RAMP_UNIT, 2.0**40) // model.ramp_step)
+    return {min(max(middle + k, 1) * model.ramp_step, top_ramp) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}
+
+
+def _by_speed(
     plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model
 ) -> Iterator[tuple[int, int, int]]:
-    """Speeds and ramps worth a look, within the limits: two of them near the plan's own, with the third that makes up
-    for what they leave of the duration."""
-    step, speed_step = model.ramp_step, model.speed_step
-
-    def ramps(value: float) -> set[int]:
-        """About a ramp in counts/sample²."""
-        middle = int(min(value * RAMP_UNIT, 2.0**40) // step)
-        return {min(max(middle + k, 1) * step, top_ramp) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}
-
+    """Speeds near the plan's own and a ramp up, with the ramp down that makes up for what they leave."""
+    step = model.ramp_step
     pointed = planned * planned / (2.0 * plan.way)  # 1/up + 1/down of a move that does not come to its speed
-    middle = int(plan.peak * SPEED_UNIT // speed_step)
-    for speed in {min(max(middle + k, 1) * speed_step, top_speed) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}:
+    middle = int(plan.peak * SPEED_UNIT // model.speed_step)
+    for speed in {min(max(middle + k, 1) * model.speed_step, top_speed) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}:
         v = speed / SPEED_UNIT
         for inverse in (2.0 * (planned - plan.way / v) / v, pointed):
-            for up in ramps(2.0 / inverse if inverse > 0.0 else math.inf):
+            for up in _ramps(2.0 / inverse if inverse > 0.0 else math.inf, top_ramp, model):
                 rest = inverse - RAMP_UNIT / up
                 low = _down(min(RAMP_UNIT / rest, 2.0**40), step, top_ramp) if rest > 0.0 else top_ramp
                 for down in (low, low + step):
                     yield speed, up, min(max(down, step), top_ramp)
-    for up in ramps(plan.up):
-        for down in ramps(plan.up):
+
+
+def _by_ramps(
+    plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model
+) -> Iterator[tuple[int, int, int]]:
+    """Ramps near the plan's own, with the speed that makes up for what they leave: where ramps are coarse."""
+    for up in _ramps(plan.up, top_ramp, model):
+        for down in _ramps(plan.up, top_ramp, model):
             # planned = way/v + v/2 (1/up + 1/down), for v
             half = RAMP_UNIT / 2 * (1.0 / up + 1.0 / down)
             square = planned * planned - 4.0 * half * plan.way
             if square < 0.0:
                 yield top_speed, up, down
                 continue
-            low = _down((planned - math.sqrt(square)) / (2.0 * half) * SPEED_UNIT, speed_step, top_speed)
-            for speed in (low, low + speed_step):
-                yield min(max(speed, speed_step), top_speed), up, down
+            low = _down((planned - math.sqrt(square)) / (2.0 * half) * SPEED_UNIT, model.speed_step, top_speed)
+            for speed in (low, low + model.speed_step):
+                yield min(max(speed, model.speed_step), top_speed), up, down
 
 
 def _rough(plan: _Law, speed: float, up: float, down: float) -> tuple[float, float]:

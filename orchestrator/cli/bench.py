@@ -127,6 +127,44 @@ def permit(as_json: bool, rounds: int) -> None:
     _show_spreads(_measured(measure), as_json)
 
 
+@bench.command(epilog="Example: tutti bench lowering --make smc4000 --json")
+@json_option
+@click.option("--make", default="smc4000", show_default=True, help="Of the controller.")
+@click.option("--moves", default=10_000, show_default=True, type=click.IntRange(10, 1_000_000), help="Trapezoids.")
+def lowering(as_json: bool, make: str, moves: int) -> None:
+    """Compare what a controller executes with what was planned, by its simulator's truth, in virtual time.
+
+    Jerk-limited moves of four axes over crystals of ±100 ppm: the distance to the plan. Trapezoids: the duration, as
+    planned, as lowered, and of a seeded part of them as executed; those of a cruise below 20,000 counts/s are a tenth
+    as many. Some minutes for the 10,000.
+    """
+    from orchestrator.lab.bench_lowering import SUBJECTS, bench_lowering
+    from orchestrator.monitor.tables import plain_table
+
+    if make not in SUBJECTS:
+        raise click.BadParameter(f"{make!r}; known are {', '.join(SUBJECTS)}", param_hint="--make")
+    found = bench_lowering(make, moves)
+    if as_json:
+        print_json(
+            {
+                "make": found.make,
+                "moves": found.moves,
+                "figures": [each._asdict() for each in found.figures],
+                "chosen": [each._asdict() for each in found.chosen],
+            }
+        )
+        return
+    table = plain_table(["trapezoids by cruise, counts/s", "n>", "p50>", "p99>", "max>", "asked", "met"])
+    for each in found.figures:
+        met = "" if each.met is None else "yes" if each.met else "NO"
+        values = (f"{value:.3f}" for value in (each.p50, each.p99, each.max))
+        table.add_row(f"{each.what}, {each.unit}", str(each.n), *values, each.asked, met)
+    console.print(table)
+    for each in found.chosen:
+        ways = ", ".join(f"{count} by {way}" for way, count in sorted(each.ways.items()))
+        console.print(f"{each.cruise}: {ways}", highlight=False)
+
+
 def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
     """What `measure` finds with a folder of its own; exit 1 when what it waits for does not happen."""
     from orchestrator.lab.bench_truth import NothingHappened

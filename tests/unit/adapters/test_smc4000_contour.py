@@ -1,0 +1,431 @@
+"""Jerk-limited moves of the SMC-4000 by contour, against the simulated controller; verdicts by its truth."""
+
+import asyncio
+import re
+from collections.abc import Mapping
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
+
+from adapters.contract import CannotDo, DriverFault, JogMove
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.core.controller import Timing
+
+VELOCITY, ACCELERATION, JERK = 100_000.0, 1_000_000.0, 2e7
+MOTORS = {"x": "X", "y": "Y"}
+
+
+def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[str, Profile]:
+    """By axis from where to where, all in one time, at a share of the axes' speed."""
+    moves = [
+        AxisMove(axis, start, end, VELOCITY * share, ACCELERATION, JERK, order=3)
+        for axis, (start, end) in targets.items()
+    ]
+    return dict(plan_step(moves).profiles)
+
+
+async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5) -> tuple[Any, int]:
+    mapping = world.driver.mapping()
+    lowered = world.driver.lower(profiles, "auto", mapping)
+    t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
+    await world.driver.arm(lowered, t0_ns, mapping)
+    return lowered, t0_ns
+
+
+async def usable(world: World) -> None:
+    """Both axes move again, by registers, by hand and by contour, without anything between."""
+    mapping = world.driver.mapping()
+    assert mapping is not None
+    for _ in range(3):
+        await world.driver.poll()
+    here = {axis: round(world.controller.position(motor)) for axis, motor in MOTORS.items()}
+    await world.driver.jog("x", JogMove(5_000.0, 100_000.0, None))
+    await sleep_ns(world.clock, 200 * NS_PER_MS)
+    await world.driver.stop_axes(["x"])
+    await sleep_ns(world.clock, 500 * NS_PER_MS)
+    assert round(world.controller.position("X")) > here["x"]
+    for shape in ("contour", "trapezoid"):
+        here = {axis: round(world.controller.position(motor)) for axis, motor in MOTORS.items()}
+        ends = {axis: (at, at + 4000) for axis, at in here.items()}
+        if shape == "contour":
+            profiles = jerked(ends)
+        else:
+            profiles = {axis: trapezoid(*way, 20_000, 204_800) for axis, way in ends.items()}
+        _, _, outcome, _ = await world.moved(profiles, 1.5)
+        assert outcome.state == "done", outcome
+        assert [world.controller.position(motor) for motor in "XY"] == [at + 4000 for at in here.values()]
+
+
+@pytest.mark.parametrize(("seed", "ppm"), [(1, 0.0), (2, 100.0), (3, -100.0), (4, 35.0)])
+def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: int, ppm: float):
+    async def main(world: World) -> None:
+        draw = Random(seed)
+        await world.ready(60)
+        at = {"x": 0, "y": 0}
+        for _ in range(5):
+            await world.driver.poll()
+            ends = {axis: draw.randrange(-200_000, 200_000) for axis in at}
+            profiles = jerked({axis: (at[axis], ends[axis]) for axis in at}, draw.uniform(0.3, 1.0))
+            at = ends
+            before = len(world.controller.motions)
+            mapping = world.driver.mapping()
+            assert mapping is not None
+            lowered, t0_ns = await armed(world, profiles)
+            await world.driver.verify()
+            await world.driver.go()
+
+            async def watch() -> tuple[Any, Any]:
+                started = await world.driver.started()
+                return started, await world.driver.outcome()
+
+            watching = asyncio.get_running_loop().create_task(watch())
+            await sleep_until_ns(world.clock, t0_ns + 20 * NS_PER_MS)
+            timebase = world.controller.machine.timebase  # pyright: ignore
+            start = next(m for m in world.controller.motions[before:])
+            first = next(
+                n for n in range(timebase.sample() - 40, timebase.sample()) if timebase.true_ns(n) == start.start_ns
+            )
+            contour = lowered.load.contour
+            plans = {axis: profile.evaluator() for axis, profile in profiles.items()}
+            for instant in contour.instants[5:]:
+                await sleep_until_ns(world.clock, timebase.true_ns(first + instant))
+                time_s = (mapping.host_ns(first + instant) - t0_ns) * 1e-9
+                for axis, plan in plans.items():
+                    real = world.controller.position(MOTORS[axis]) - profiles[axis].start_counts
+                    assert abs(real - plan(time_s).position) <= 1.0
+            started, outcome = await watching
+            assert outcome.state == "done", outcome
+            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            for axis, motor in MOTORS.items():
+                motion = motions[motor]
+                assert motion.end_counts == ends[axis]
+                assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
+                assert outcome.ended[axis].earliest_ns <= motion.end_ns <= outcome.ended[axis].latest_ns
+                off_ns = motion.start_ns - t0_ns
+                assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+                real_s = (motion.end_ns - motion.start_ns) * 1e-9
+                assert abs(real_s - lowered.durations_s[axis]) <= lowered.tick_ns * 1e-9 + 1e-5
+                clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
+                assert started[axis].latest_ns - started[axis].earliest_ns <= 2 * lowered.tick_ns + clock_ns + 2
+                assert outcome.ended[axis].latest_ns - outcome.ended[axis].earliest_ns <= 8 * lowered.tick_ns + clock_ns
+
+    run(main, seed=seed, ppm=ppm)
+
+
+def test_the_gate_never_opened_means_no_motion():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
+        await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
+        with pytest.raises(CannotDo) as late:
+            await world.driver.go()
+        assert late.value.refusal.code == "late"
+        with pytest.raises(DriverFault) as fault:
+            await world.driver.started()
+        assert fault.value.fault.code == "late"
+        await sleep_ns(world.clock, NS_PER_S)
+        assert not world.controller.motions
+        await world.driver.disarm()
+        await usable(world)
+
+    run(main)
+
+
+@pytest.mark.parametrize("before_ms", [900, 60, 38, 36, 30, 21, 10])
+@pytest.mark.parametrize("way", ["disarm", "reconnect", "other"])
+def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way: str):
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 20_000), "y": (0, 10_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
+        if way == "disarm":
+            await world.driver.disarm()
+            await world.driver.disarm()
+        elif way == "reconnect":
+            await world.driver.close()
+            await world.driver.connect()
+        else:
+            await world.other().connect()
+        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
+        assert before_ms < 21 or not world.controller.motions
+        await usable(world)
+
+    run(main)
+
+
+@pytest.mark.parametrize("halts", [True, False])
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("after_ms", [-300, -60, -38, -30, -2, 0, 1, 2, 3, 150, 600, 1040, 1100])
+def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int, abort: bool, halts: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        # 1.06 s
+        lowered, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
+        speeds = {motor: abs(world.controller.velocity(motor)) for motor in "XY"}
+        at = {motor: world.controller.position(motor) for motor in "XY"}
+        await world.driver.stop(abort)
+        await sleep_ns(world.clock, lowered.costs.stop_ns)
+        assert not any(world.controller.moving(motor) for motor in "XY")
+        for motor in "XY":
+            way = abs(world.controller.position(motor) - at[motor])
+            assert way <= speeds[motor] * 0.005 + (0 if abort else speeds[motor] ** 2 / 2 / ACCELERATION * 1.05) + 100
+        if after_ms < -21:
+            assert not world.controller.motions
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        await usable(world)
+
+    run(main, options={"st_halts_programs": halts})
+
+
+def test_a_stop_in_motion_is_told_as_one():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
+        await world.driver.go()
+        await world.driver.started()
+        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
+        await world.driver.stop(False)
+        outcome = await watching
+        assert outcome.state == "stopped"
+        assert "axis x stopped by a stop command" in outcome.reason
+        end_ns = world.controller.motions[0].end_ns
+        assert end_ns is not None
+        assert outcome.ended["x"].earliest_ns <= end_ns <= outcome.ended["x"].latest_ns
+
+    run(main)
+
+
+@pytest.mark.parametrize("contour", [True, False])
+def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself(contour: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        ends = {"x": (0, 400_000), "y": (0, 200_000)}
+        profiles = jerked(ends) if contour else {a: trapezoid(*way, 50_000, 512_000) for a, way in ends.items()}
+        lowered, t0_ns = await armed(world, profiles)
+        assert lowered.commands[0].startswith("contour" if contour else "PA")
+        await world.driver.go()
+        await world.driver.started()
+        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await sleep_until_ns(world.clock, t0_ns + 1500 * NS_PER_MS)
+        world.wire.cut = True
+        await sleep_ns(world.clock, 1000 * NS_PER_MS)
+        assert world.controller.moving("X")
+        await sleep_ns(world.clock, 400 * NS_PER_MS)
+        assert not world.controller.moving("X") and not world.controller.moving("Y")
+        assert 0 < world.controller.position("X") < 300_000
+        world.wire.cut = False
+        with pytest.raises(DriverFault):
+            await watching
+        await world.driver.connect()
+        await usable(world)
+
+    run(main)
+
+
+def test_a_watchdog_that_has_bitten_is_named():
+    async def main(world: World) -> None:
+        await world.ready()
+        await armed(world, jerked({"x": (0, 400_000)}))
+        await world.driver.go()
+        await world.driver.started()
+        await sleep_ns(world.clock, 1500 * NS_PER_MS)
+        outcome = await world.driver.outcome()
+        assert outcome.state == "stopped"
+        assert "watchdog" in outcome.reason
+
+    run(main)
+
+
+def test_a_long_move_that_is_watched_is_left_alone():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, _, outcome, _ = await world.moved(jerked({"x": (0, 600_000), "y": (0, 10)}, 0.5), 4.0)
+        assert outcome.state == "done", outcome
+        assert world.controller.position("X") == 600_000
+
+    run(main)
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_a_contour_that_an_earlier_client_left_is_stopped_by_its_ramps_at_connect(other: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 400_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns + 700 * NS_PER_MS)
+        if not other:
+            await world.driver.close()
+        await (world.other() if other else world.driver).connect()
+        motion = world.controller.motions[0]
+        await sleep_ns(world.clock, 500 * NS_PER_MS)
+        assert motion.slowing_ns is not None and motion.end_ns is not None
+        # 100,000 counts/s with 1,000,000 counts/s²
+        assert 90 * NS_PER_MS < motion.end_ns - motion.slowing_ns < 110 * NS_PER_MS
+        await world.driver.connect()
+        await usable(world)
+
+    run(main)
+
+
+@pytest.mark.parametrize("refuses", [False, True])
+def test_a_contour_that_is_fed_too_slowly_is_a_fault(refuses: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        lowered, _ = await armed(world, jerked({"x": (0, 90_000)}), 3.0)
+        assert lowered.load.contour.interval == 2
+        world.controller.machine.timing = Timing(decode_ns=1_300_000)  # pyright: ignore
+        await world.driver.go()
+        await world.driver.started()
+        outcome = await world.driver.outcome()
+        assert outcome.state == ("stopped" if refuses else "fault"), outcome
+        assert ("program had failed" if refuses else "records came too slowly") in outcome.reason
+        world.controller.machine.timing = Timing(decode_ns=500_000)  # pyright: ignore
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        await usable(world)
+
+    run(main, options={"late_contour_error": refuses})
+
+
+def test_a_limit_switch_in_a_contour_is_a_fault_of_its_axis():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 90_000)}))
+        await world.driver.go()
+        await world.driver.started()
+        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
+        world.controller.set_limit("X", "forward")
+        outcome = await watching
+        assert outcome.state == "fault"
+        assert "axis x stopped by the forward limit switch" in outcome.reason
+        assert not world.controller.moving("Y")
+
+    run(main)
+
+
+def test_a_power_cycle_leaves_nothing_of_a_contour():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
+        world.controller.set_power(False)
+        await sleep_ns(world.clock, 100 * NS_PER_MS)
+        world.controller.set_power(True)
+        await world.driver.connect()
+        await world.driver.enable(["x", "y"], True)
+        await sleep_ns(world.clock, 2 * NS_PER_S)
+        assert len(world.controller.motions) == 1
+        await usable(world)
+
+    run(main)
+
+
+@pytest.mark.parametrize("stage", range(0, 60, 3))
+def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage: int):
+    async def main(world: World) -> None:
+        await world.ready()
+        count = 0
+
+        def cut(data: bytes) -> bytes:
+            nonlocal count
+            count += 1
+            world.wire.cut |= count > stage
+            return data
+
+        world.wire.to_far = cut
+        with pytest.raises(DriverFault):
+            await armed(world, jerked({"x": (0, 90_000)}), 2.0)
+            await world.driver.verify()
+            await world.driver.go()
+            for _ in range(30):
+                await world.driver.poll()
+        world.wire.to_far, world.wire.cut = None, False
+        moving = bool(world.controller.motions)
+        await world.driver.connect()
+        await sleep_ns(world.clock, 3 * NS_PER_S)
+        assert moving or not world.controller.motions
+        await usable(world)
+
+    run(main)
+
+
+def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
+    async def main(world: World) -> None:
+        await world.ready()
+        world.wire.to_far = lambda data: data.replace(b"0", b"9") if data.startswith(b"0\r\n") else data
+        with pytest.raises(CannotDo) as refusal:
+            await armed(world, jerked({"x": (0, 90_000)}))
+        world.wire.to_far = None
+        assert refusal.value.refusal.code == "read-back"
+        await world.driver.disarm()
+        await usable(world)
+
+    run(main)
+
+
+def test_arrays_and_number_formats_of_others_are_left_as_they_are():
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.talk("DM MINE[14000]")
+        await world.talk("PF -8.2")
+        _, _, outcome, _ = await world.moved(jerked({"x": (0, 90_000)}), 1.5)
+        assert outcome.state == "done"
+        assert "-008.2" in await world.talk("MG _PF{F3.1}")
+        with pytest.raises(CannotDo) as refusal:
+            await armed(world, jerked({"x": (90_000, 500_000)}))
+        assert refusal.value.refusal.code == "array-space"
+        assert "14000" in await world.talk("LA")
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    ("way", "options", "code", "words"),
+    [
+        ({"x": (0, 6_000_000)}, {"array_elements": 4000}, "contour-too-long", "axis x.*at most 31.2 s"),
+        ({"x": (0, 6_000_000), "y": (0, 100)}, {"array_elements": 4000}, "contour-too-long", "at most 15.6 s"),
+        ({"x": (0, 6_000_000)}, {"array_elements": 400, "contour_sag_counts": 1e9}, None, ""),
+    ],
+)
+def test_what_does_not_fit_says_what_would(
+    way: dict[str, tuple[int, int]], options: dict[str, Any], code: str | None, words: str
+):
+    async def main(world: World) -> None:
+        await world.driver.connect()
+        await world.driver.poll()
+        if code is None:
+            lowered = world.driver.lower(jerked(way), "auto", world.driver.mapping())
+            assert "records of 256 samples" in lowered.commands[0]
+            return
+        with pytest.raises(CannotDo) as refusal:
+            world.driver.lower(jerked(way), "auto", world.driver.mapping())
+        assert refusal.value.refusal.code == code
+        text = f"{refusal.value.refusal.text} {refusal.value.refusal.remedy}"
+        assert re.search(words, text), text
+
+    run(main, fleet=FLEET | {"options": options})
+
+
+def test_a_speed_beyond_what_a_record_can_hold_is_refused():
+    async def main(world: World) -> None:
+        await world.driver.connect()
+        await world.driver.poll()
+        fast = dict(plan_step([AxisMove("x", 0, 10**8, 9e6, 6e7, 1e9, order=3)]).profiles)
+        with pytest.raises(CannotDo) as refusal:
+            world.driver.lower(fast, "auto", world.driver.mapping())
+        assert refusal.value.refusal.code == "record-range"
+        assert "axis x" in refusal.value.refusal.text
+        assert "at most 8191" in refusal.value.refusal.remedy
+
+    limits = LIMITS | {"velocity": 1e4, "acceleration": 6e4}
+    axes = {"x": {"motors": ["X"], "unit": "mm", "scale": 1000, "limits": limits}}
+    run(main, fleet=FLEET | {"axes": axes})
