@@ -7,7 +7,7 @@ its clock in them, so that neither is left in the path.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.model import SPEED_UNIT, Model
@@ -123,8 +123,12 @@ def _shape(profiles: Mapping[str, Profile], tick_s: float, interval: int, sag_co
         records, tail = LEAST_RECORDS, ()
     contour = Contour(interval, records, tail, {}, sag_counts)
     instants = contour.instants
-    ends = {axis: next(instant for instant in instants if instant >= least) for axis, least in needed.items()}
-    return Contour(interval, records, tail, ends, sag_counts)
+    ends = {
+        # Axes of one duration end together, wherever the last of them needs a sample more.
+        axis: instants[-1] if least >= total - 1 else next(instant for instant in instants if instant >= least)
+        for axis, least in needed.items()
+    }
+    return replace(contour, ends=ends)
 
 
 def _least_samples(profile: Profile, tick_s: float) -> int:

@@ -13,7 +13,7 @@ from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
 from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
-from orchestrator.link.base import LinkClosed, OpenLink
+from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 THREADS = 8  # L12258
 CONTOURING = 1 << 5  # of TB (L10224)
@@ -22,8 +22,12 @@ CONTOURING = 1 << 5  # of TB (L10224)
 class Device:
     """One controller. Its commands and polls share one handle; stops have one of their own."""
 
-    def __init__(self, clock: Clock, open_link: OpenLink, options: Options, axes_needed: int) -> None:
+    def __init__(
+        self, clock: Clock, open_link: OpenLink, options: Options, axes_needed: int, goodbye: bytes = b""
+    ) -> None:
+        """goodbye: what frees a handle where the controller can not see that its client has gone."""
         self._clock = clock
+        self._goodbye = goodbye
         self._open_link = open_link
         self._options = options
         self._axes_needed = axes_needed
@@ -45,7 +49,7 @@ class Device:
         await self.close()
         self._must_reconnect = False
         link = await self._open_link()
-        self._close_link = link.close
+        self._close_link = lambda: self._leave(link)
         session = self._session = Session(link, self._options.timeout_s)
         self._stops = StopHandle(await self._open_link())
         # Messages of programs go to the serial port, not between our replies (L3556).
@@ -70,9 +74,15 @@ class Device:
         session, self._session = self._session, None
         stops, self._stops = self._stops, None
         if stops is not None:
-            await stops.close()
+            await stops.close(self._goodbye)
         if session is not None:
             await self._close_link()
+
+    async def _leave(self, link: Link) -> None:
+        if self._goodbye:
+            with suppress(LinkClosed):
+                link.write(self._goodbye)
+        await link.close()
 
     async def _install_program(self) -> None:
         session, wanted = self.session, program(self.format.axes)

@@ -9,6 +9,7 @@ gets one prompt or several. Text that nobody asked for comes as whole lines befo
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -362,7 +363,10 @@ class StopHandle:
         """At once. Raises `LinkClosed`."""
         write_each(self._link, commands)
 
-    async def close(self) -> None:
+    async def close(self, goodbye: bytes = b"") -> None:
+        if goodbye and self.open:
+            with suppress(LinkClosed):
+                self._link.write(goodbye)
         self._drain.cancel()
         await self._link.close()
 

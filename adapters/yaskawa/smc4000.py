@@ -40,11 +40,12 @@ from adapters.yaskawa.start import Start
 from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import Controller, TcpLink
+from orchestrator.model.fleet import Controller, TcpLink, UdpLink
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
 AXES = 4
+FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP nothing else tells that a client has gone (L5851)
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 20
 DISARM_EXCHANGES = 7
@@ -84,7 +85,8 @@ class SMC4000Driver(Driver):
         self._options = options
         self._clock = setup.clock
         self._motors = motor_indices(setup.config)
-        self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1)
+        goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
+        self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1, goodbye)
         self._start = Start(self._device, setup.clock, options)
         self._jogging = Jogging(self._device, setup.clock, self._motors)
         self._steppers: set[str] = set()
@@ -270,8 +272,8 @@ class SMC4000Make:
     options: type[BaseModel] = Options
 
     def check(self, config: Controller) -> None:
-        if not isinstance(config.link, TcpLink):
-            raise ValueError(f"link.kind: {config.link.kind}; an SMC-4000 is reached by `kind: tcp`")
+        if not isinstance(config.link, TcpLink | UdpLink):
+            raise ValueError(f"link.kind: {config.link.kind}; an SMC-4000 is reached by `kind: tcp` or `kind: udp`")
         motors = motor_indices(config)
         for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
             for name, point in points.items():

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, Lowered, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import LAN, MemoryWire, WireModel
@@ -218,7 +218,9 @@ def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]
 
 async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowered, TickMapping, int]:
     """Arm a step and let it go; with the mapping that it was frozen with, and T0."""
-    driver, mapping = world.driver, world.mapping()
+    driver = world.driver
+    await driver.poll()
+    mapping = world.mapping()
     lowered = driver.lower(profiles, "auto", mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
     await driver.arm(lowered, t0_ns, mapping)
@@ -324,8 +326,7 @@ def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int
         at = 0
         for number in range(count):
             profile = _trapezoid(at, low, high, draw)
-            mapping = world.mapping()
-            lowered = world.driver.lower({"a": profile}, "auto", mapping)
+            lowered = world.driver.lower({"a": profile}, "auto", world.mapping())
             way = subject.way(lowered)
             found.ways[way] = found.ways.get(way, 0) + 1
             found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)
@@ -347,9 +348,6 @@ def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int
 async def _execute(world: _World, profile: Profile) -> Motion:
     await _start(world, {"a": profile})
     await _finish(world)
-    # The clock is read as it would be between two steps.
-    await sleep_ns(world.clock, NS_PER_S)
-    await world.driver.poll()
     return world.controller.motions[-1]
 
 
