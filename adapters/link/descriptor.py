@@ -14,15 +14,20 @@ READ_BYTES = 65536
 class DescriptorLink:
     """A `Link` over `fd`, which must be in non-blocking mode. `release` closes it. Needs a running asyncio loop.
 
+    datagrams: an empty one is nothing, where an empty read of a stream is its end.
+
     Bytes are taken as soon as the loop sees them, whether anybody waits or not, so that their stamps are true.
     """
 
-    def __init__(self, place: str, char_ns: int, fd: int, release: Callable[[], None], clock: Clock) -> None:
+    def __init__(
+        self, place: str, char_ns: int, fd: int, release: Callable[[], None], clock: Clock, datagrams: bool = False
+    ) -> None:
         self._place = place
         self._char_ns = char_ns
         self._fd = fd
         self._release = release
         self._clock = clock
+        self._datagrams = datagrams
         self._loop = asyncio.get_running_loop()
         self._received: deque[Received] = deque()
         self._waiting: asyncio.Future[None] | None = None
@@ -86,6 +91,8 @@ class DescriptorLink:
             self._shut(f"{self._place}: {error.strerror}")
             return
         at_ns = self._clock.now_ns()
+        if not data and self._datagrams:
+            return
         if not data:
             self._shut(f"{self._place}: closed by the other side")
             return

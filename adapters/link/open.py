@@ -2,10 +2,11 @@
 
 from adapters.link.serial import open_serial
 from adapters.link.tcp import open_tcp
+from adapters.link.udp import open_udp
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.model.fleet import Link as LinkModel
-from orchestrator.model.fleet import TcpLink
+from orchestrator.model.fleet import TcpLink, UdpLink
 
 
 def open_link(model: LinkModel, clock: Clock) -> OpenLink:
@@ -14,6 +15,8 @@ def open_link(model: LinkModel, clock: Clock) -> OpenLink:
     async def opened() -> Link:
         if isinstance(model, TcpLink):
             return await open_tcp(model, clock)
+        if isinstance(model, UdpLink):
+            return await open_udp(model, clock)
         return open_serial(model, clock)
 
     return opened

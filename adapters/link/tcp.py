@@ -8,7 +8,7 @@ import socket
 from adapters.link.descriptor import DescriptorLink
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, LinkRefused
-from orchestrator.model.fleet import TcpLink
+from orchestrator.model.fleet import TcpLink, UdpLink
 
 CONNECT_TIMEOUT_S = 2.0
 
@@ -42,10 +42,10 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
             await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
     except BaseException as error:
         connection.close()
-        reason = _reason(link, error)
-        if reason is None:
+        why = reason(link, error)
+        if why is None:
             raise
-        raise LinkRefused(f"{link.place}: {reason}") from None
+        raise LinkRefused(f"{link.place}: {why}") from None
 
     def release() -> None:
         # A firing process may hold a copy of the descriptor; shut down, that one writes no more either.
@@ -56,7 +56,7 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
     return DescriptorLink(link.place, 0, connection.fileno(), release, clock)
 
 
-def _reason(link: TcpLink, error: BaseException) -> str | None:
+def reason(link: TcpLink | UdpLink, error: BaseException) -> str | None:
     """Why it could not be opened and what to do; None for an error that is not of the connection."""
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer within {CONNECT_TIMEOUT_S:g} s; check address, cable and power"

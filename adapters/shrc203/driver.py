@@ -221,7 +221,7 @@ class ShrcDriver(Driver):
 def _char_ns(setup: Setup, options: Options) -> int:
     """One character on the serial side: start, data, parity and stop bits at the baud rate."""
     link = setup.config.link
-    if link.kind == "tcp":
+    if link.kind != "serial":
         return 10 * NS_PER_S // options.bridge_baud
     bits_per_character = 1 + link.data_bits + (link.parity != "none") + link.stop_bits
     return bits_per_character * NS_PER_S // link.baud

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TextIO
 
 from orchestrator.lab.throne import reigning
-from orchestrator.model.fleet import Controller, Fleet, SerialLink, TcpLink
+from orchestrator.model.fleet import Controller, Fleet, SerialLink
 
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
@@ -138,11 +138,8 @@ class LiveFleet:
         for name, config in self.fleet.controllers.items():
             child = await self._start_child(f"sim/{name}", self._simulator_command(name, config))
             place = json.loads(child.ready)
-            link = (
-                TcpLink(host=place["host"], port=place["port"])
-                if place["kind"] == "tcp"
-                else config.link.model_copy(update={"device": place["device"]})
-            )
+            found = {"device"} if isinstance(config.link, SerialLink) else {"host", "port"}
+            link = config.link.model_copy(update={name: place[name] for name in found})
             simulate = config.simulate.model_copy(update={"link": link})
             controllers[name] = config.model_copy(update={"simulate": simulate})
             self.say(f"{name}: simulated {config.adapter} on {link.place}")
@@ -179,7 +176,7 @@ class LiveFleet:
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
             listen += ["--frame", frame(config.link)]
         else:
-            listen = ["--listen", f"tcp:127.0.0.1:{free_port()}"]
+            listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}"]
         timing = {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000}
         oscillator = {
             "offset_ns": round(simulate.offset_s * 1e9),

@@ -115,13 +115,12 @@ class VirtualFleet:
             lambda: model.build(self.clock, simulate.options, oscillator=oscillator, timing=timing, seed=seed)
         )
         self.controllers[name] = controller
-        serial = isinstance(config.link, SerialLink)
         hold_ns = round(simulate.hold_ms * NS_PER_MS)
         self.wires[name] = MemoryWire(
             clock=self.clock,
             model=serial_wire(config.link.baud, hold_ns=hold_ns) if isinstance(config.link, SerialLink) else LAN,
             far=controller,
-            port="serial" if serial else "tcp",
+            port=config.link.kind if config.link.kind in controller.ports else controller.ports[0],
             place=config.link.place,
             far_context=process.run(copy_context),
             seed=seed,

@@ -29,6 +29,19 @@ class TcpLink(Model):
         return f"tcp {self.host}:{self.port}"
 
 
+class UdpLink(Model):
+    """A controller behind a UDP port."""
+
+    kind: Literal["udp"]
+    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    port: int = Field(ge=1, le=65535)
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share."""
+        return f"udp {self.host}:{self.port}"
+
+
 class SerialLink(Model):
     """A controller behind a serial port."""
 
@@ -49,7 +62,7 @@ class SerialLink(Model):
         return f"serial {self.device}"
 
 
-Link = Annotated[TcpLink | SerialLink, Field(discriminator="kind")]
+Link = Annotated[TcpLink | UdpLink | SerialLink, Field(discriminator="kind")]
 
 
 class Limits(Model):
@@ -293,7 +306,7 @@ class Controller(Model):
         return self
 
     @property
-    def reached_by(self) -> TcpLink | SerialLink:
+    def reached_by(self) -> TcpLink | UdpLink | SerialLink:
         """The link to open: that of the controller, or of the simulator that stands in for it."""
         return self.simulate.link or self.link
 

@@ -45,6 +45,14 @@ class TcpPlace:
 
 
 @dataclass(frozen=True, slots=True)
+class UdpPlace:
+    """Take datagrams at a UDP port of this host; port 0: a free one."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
 class PtyPlace:
     """Be a pseudo-terminal that this path points to."""
 
@@ -64,7 +72,9 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = OneLineParser(prog="python -m sim.link.process", description="One simulated controller on a real link.")
     parser.add_argument("--model", required=True, help="a simulated model, e.g. smc4000")
     parser.add_argument("--name", required=True, help="the controller's name in the fleet file")
-    parser.add_argument("--listen", required=True, type=_place, help="tcp:127.0.0.1:PORT (0: a free one) or pty:PATH")
+    parser.add_argument(
+        "--listen", required=True, type=_place, help="tcp:127.0.0.1:PORT (0: a free one), udp:… or pty:PATH"
+    )
     parser.add_argument("--baud", type=_baud, default=38400, help="of a pseudo-terminal; both directions are paced")
     parser.add_argument("--frame", type=_frame, default="8N1", help="data bits, parity, stop bits: 8N1, 7O1, …")
     parser.add_argument("--options", type=_options, default={}, help="JSON object: the model's own options")
@@ -76,17 +86,17 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def _place(text: str) -> TcpPlace | PtyPlace:
+def _place(text: str) -> TcpPlace | UdpPlace | PtyPlace:
     kind, _, rest = text.partition(":")
     if kind == "pty" and rest:
         return PtyPlace(Path(rest).absolute())
     host, _, port = rest.rpartition(":")
     host = host.strip("[]")
-    if kind != "tcp" or not host or not port.isdecimal() or int(port) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither tcp:127.0.0.1:PORT nor pty:PATH")
+    if kind not in ("tcp", "udp") or not host or not port.isdecimal() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of tcp:127.0.0.1:PORT, udp:127.0.0.1:PORT, pty:PATH")
     if host not in _LOOPBACK and not host.startswith("127."):
         raise argparse.ArgumentTypeError(f"{host} would listen to the network; simulators listen at 127.0.0.1 only")
-    return TcpPlace(host, int(port))
+    return (TcpPlace if kind == "tcp" else UdpPlace)(host, int(port))
 
 
 def _baud(text: str) -> int:

@@ -22,10 +22,11 @@ from orchestrator.clock.live import LiveClock
 from sim.core.controller import PortRefused, SimulatedController, Timing
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
-from sim.link.arguments import PtyPlace, first_problem, parse_arguments
+from sim.link.arguments import PtyPlace, UdpPlace, first_problem, parse_arguments
 from sim.link.pty import PtyServer
 from sim.link.tcp import TcpServer, listen_tcp
 from sim.link.truth import TruthLog
+from sim.link.udp import UdpServer, listen_udp
 from sim.link.world import WorldRefused, change_world
 
 
@@ -105,11 +106,13 @@ def _build(chosen: argparse.Namespace, clock: LiveClock) -> SimulatedController:
 
 async def _serve(
     chosen: argparse.Namespace, controller: SimulatedController, clock: LiveClock
-) -> TcpServer | PtyServer:
+) -> TcpServer | UdpServer | PtyServer:
     place = chosen.listen
     try:
         if isinstance(place, PtyPlace):
             return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
+        if isinstance(place, UdpPlace):
+            return await listen_udp(controller, place.host, place.port)
         return await listen_tcp(controller, place.host, place.port)
     except (PortRefused, OSError) as error:
         raise CannotStart(f"--listen: {error}") from None
@@ -124,7 +127,7 @@ def _opened(path: Path) -> TextIO:
 
 
 async def _follow(
-    lines: asyncio.StreamReader, server: TcpServer | PtyServer, controller: SimulatedController, name: str
+    lines: asyncio.StreamReader, server: TcpServer | UdpServer | PtyServer, controller: SimulatedController, name: str
 ) -> None:
     """Change the world line by line, until there are no more."""
     while line := await lines.readline():

@@ -65,6 +65,9 @@ def case(
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
+    "smc4000 on UDP": case(
+        "smc4000", {**TCP, "kind": "udp"}, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "udp"
+    ),
     "smc2000 on serial": case(
         "smc2000",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},

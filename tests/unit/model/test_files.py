@@ -50,8 +50,8 @@ def test_examples_load() -> None:
         ("fleet: demo", "fleet: demo\ncolour: red", "f.yaml:3: colour: unknown field"),
         (
             "kind: tcp",
-            "kind: udp",
-            "f.yaml:6: controllers.gantry.link: found 'udp' for 'kind'; allowed: 'tcp', 'serial'",
+            "kind: usb",
+            "f.yaml:6: controllers.gantry.link: found 'usb' for 'kind'; allowed: 'tcp', 'udp', 'serial'",
         ),
         ('max: "30 cm"', 'max: "30 deg"', "deg is a unit of angle, and the axis is in mm; use one of: m, cm, mm"),
         ('max: "30 cm"', "max: -1", "soft_limits.min (0) is not below max (-1)"),
