@@ -90,14 +90,12 @@ class Registers:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. why: what the registers would have made
-    of it."""
+    """A contour. profiles: by index of the axis. brakes: its DC, for a stop."""
 
     contour: Contour
     profiles: Mapping[int, Profile]
     ends: Mapping[int, int]
     brakes: Mapping[int, int]
-    why: str
 
     @property
     def held(self) -> dict[str, dict[int, int]]:
@@ -121,7 +119,7 @@ class Records:
         names = ", ".join(array(index) for index in self.profiles)
         tail = f", then one each of {', '.join(str(1 << n) for n in self.contour.tail)}" if self.contour.tail else ""
         return (
-            f"contour{self.why}: {self.contour.records} records of {1 << self.contour.interval} samples{tail}",
+            f"contour: {self.contour.records} records of {1 << self.contour.interval} samples{tail}",
             f"DC {fields(self.brakes)}",
             f"QD {names}: {self.contour.count} increments each",
         )
@@ -167,16 +165,19 @@ def lower_moves(
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
     shapes, why = _by_registers(way, bounds, tick_ns, model)
     load: Registers | Records
+    note: tuple[str, ...] = ()
     if shapes is not None and not why:
         load = _registers(shapes, way, motors)
     else:
         try:
-            load = _by_contour(way, motors, bounds, options, tick_ns, why, model)
-        except CannotDo:
+            load = _by_contour(way, motors, bounds, options, tick_ns, model)
+            note = (f"({why})",) if why else ()
+        except CannotDo as refusal:
             if shapes is None:
                 raise
             load = _registers(shapes, way, motors)
-    return _promise(load, profiles, motors, options, costs, mapping)
+            note = (f"({why}; no contour: {refusal})",)
+    return _promise(load, note, profiles, motors, options, costs, mapping)
 
 
 def _by_registers(
@@ -192,8 +193,8 @@ def _by_registers(
                 raise
             return None, ""
     reasons = [
-        f"; {axis} would end {shape.off * tick_ns * 1e-6:+.2f} ms off by its registers, {shape.path_error_counts:.0f} "
-        "counts beside its plan"
+        f"by its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and goes up to "
+        f"{shape.path_error_counts:.0f} counts beside its plan"
         for axis, shape in shapes.items()
         if not _suffices(shape, way[axis], tick_ns)
     ]
@@ -218,7 +219,6 @@ def _by_contour(
     bounds: Mapping[str, Bounds],
     options: Options,
     tick_ns: float,
-    why: str,
     model: Model,
 ) -> Records:
     if not model.contours:
@@ -237,12 +237,12 @@ def _by_contour(
         {motors[axis]: profile for axis, profile in way.items()},
         {motors[axis]: contour.ends[axis] for axis in way},
         {motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_ns * 1e-9) for axis in way},
-        why,
     )
 
 
 def _promise(
     load: Registers | Records,
+    note: tuple[str, ...],
     profiles: Mapping[str, Profile],
     motors: Mapping[str, int],
     options: Options,
@@ -302,7 +302,7 @@ def _promise(
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),
-        commands=(*load.commands, f"XQ {entry(mask, contour)},0  (waits for T0, then {begin})"),
+        commands=(*load.commands, f"XQ {entry(mask, contour)},0  (waits for T0, then {begin})", *note),
         moves=moves,
         mask=mask,
         drift_bound_ns=bound_ns,

@@ -10,7 +10,9 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.yaskawa.smc4000 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.fleet import Controller
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import Timing
@@ -182,6 +184,65 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await usable(world)
 
     run(main, options={"st_halts_programs": halts})
+
+
+@pytest.mark.parametrize("halts", [True, False])
+@pytest.mark.parametrize("after_ms", [-300, -35, 1, 300])
+def test_a_guardians_bytes_stop_what_plays_and_what_waits(after_ms: int, halts: bool):
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
+        link = await world.wire.open()
+        link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
+        await sleep_ns(world.clock, NS_PER_S)
+        assert world.controller.at_rest()
+        assert abs(world.controller.position("X")) < 50_000
+        await usable(world)
+
+    run(main, options={"st_halts_programs": halts})
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"question_crlf": True},
+        {"sign_column": False},
+        {"qr_axis_bytes": 28},
+        {"strict_packets": True},
+        {"late_contour_error": True},
+        {"axes": 2},
+    ],
+)
+def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
+    async def main(world: World) -> None:
+        await world.ready()
+        _, _, outcome, _ = await world.moved(jerked({"x": (0, 70_000), "y": (0, -3_000)}), 1.5)
+        assert outcome.state == "done", outcome
+        assert (world.controller.position("X"), world.controller.position("Y")) == (70_000, -3_000)
+
+    run(main, options=options)
+
+
+def test_a_contour_is_played_beside_polls_without_end():
+    async def main(world: World) -> None:
+        await world.ready()
+        _, t0_ns = await armed(world, jerked({"x": (0, 150_000), "y": (0, -30_000)}))
+        await world.driver.go()
+        await sleep_until_ns(world.clock, t0_ns + 5 * NS_PER_MS)
+
+        async def polls() -> None:
+            while True:
+                await world.driver.poll()
+
+        polling = asyncio.get_running_loop().create_task(polls())
+        await world.driver.started()
+        outcome = await world.driver.outcome()
+        polling.cancel()
+        assert outcome.state == "done", outcome
+
+    run(main)
 
 
 def test_a_stop_in_motion_is_told_as_one():
@@ -361,7 +422,12 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
 def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
     async def main(world: World) -> None:
         await world.ready()
-        world.wire.to_far = lambda data: data.replace(b"0", b"9") if data.startswith(b"0\r\n") else data
+
+        def spoil(data: bytes) -> bytes:
+            first, end, rest = data.partition(b"\r\n")
+            return b"%d" % (int(first) + 1) + end + rest if end and data[:1].isdigit() else data
+
+        world.wire.to_far = spoil
         with pytest.raises(CannotDo) as refusal:
             await armed(world, jerked({"x": (0, 90_000)}))
         world.wire.to_far = None
