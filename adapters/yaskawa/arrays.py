@@ -11,6 +11,7 @@ from adapters.yaskawa.session import MAX_PACKET, Refused, Session
 NAMES = (*(array(index) for index in range(len(RECORD_LETTERS))), TAIL)
 ALLOCATING = len(NAMES) + 1  # exchanges
 SEPARATOR = 2  # bytes between two elements on their way down
+ELEMENTS = MAX_PACKET - len("QD XC1[],99999,99999\r\x1a")  # bytes of a packet that are left for them
 UP = 250  # elements asked back at once
 FORMAT = 5  # digits of an element that is read back (PF)
 FORMATTING = 3  # exchanges: the format that was set, ours, and that again
@@ -61,17 +62,17 @@ async def _compare(session: Session, arrays: Mapping[str, Sequence[int]]) -> Non
 def exchanges(count: int, lengths: Sequence[int]) -> int:
     """How many exchanges `load` takes at the most. count: elements of an array; lengths: of one array each, the digits
     of its largest."""
-    down = sum(-(-count // ((MAX_PACKET - 1) // (digits + 1 + SEPARATOR))) for digits in lengths)
+    down = sum(-(-count // (ELEMENTS // (digits + 1 + SEPARATOR))) for digits in lengths)
     return ALLOCATING + FORMATTING + down + len(lengths) * -(-count // UP)
 
 
 def _parts(values: Sequence[int]) -> list[tuple[int, list[int]]]:
     """(first element, elements): what fits into a packet each, with its separators and its end."""
     parts: list[tuple[int, list[int]]] = []
-    used = MAX_PACKET
+    used = ELEMENTS
     for index, value in enumerate(values):
         size = len(str(value)) + SEPARATOR
-        if used + size >= MAX_PACKET:
+        if used + size > ELEMENTS:
             parts.append((index, []))
             used = 0
         parts[-1][1].append(value)

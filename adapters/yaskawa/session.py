@@ -164,16 +164,15 @@ class Session:
             self._in_step = True
 
     async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
-        """Fill elements of an array from `first` on (QD, L8545); they must fit into a packet.
+        """Fill elements of an array from `first` on (QD, L8545); command and elements must fit into one packet, which
+        they are sent in: two that follow each other at once may be joined on their way (L1735).
 
         Without a pause before the data: should QD be refused, they are lines of numbers, which are no commands.
         """
         async with self._turn:
             await self._get_in_step()
             command = f"QD {name}[],{first},{first + len(values) - 1}"
-            self._in_step = False
-            self._link.write(command.encode("ascii") + b"\r")
-            data = "\r\n".join(map(str, values)) + END_OF_DATA
+            data = f"{command}\r" + "\r\n".join(map(str, values)) + END_OF_DATA
             parsed, _ = await self._exchange(data, lambda: parse_reply(self._buffer), terminated=True)
             if parsed.refused:
                 raise await self._refusal(command)
