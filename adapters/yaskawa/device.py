@@ -10,7 +10,7 @@ from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD, VARIABLES, letters, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
-from adapters.yaskawa.session import REVISION, Refused, Session, StopHandle
+from adapters.yaskawa.session import REVISION, Refused, Session, SharedStops, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
 from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
 from orchestrator.link.base import Link, LinkClosed, OpenLink
@@ -20,19 +20,27 @@ CONTOURING = 1 << 5  # of TB (L10224)
 
 
 class Device:
-    """One controller. Its commands and polls share one handle; stops have one of their own."""
+    """One controller. Its commands and polls share one handle; stops have one of their own, where there can be two."""
 
     def __init__(
-        self, clock: Clock, open_link: OpenLink, options: Options, axes_needed: int, goodbye: bytes = b""
+        self,
+        clock: Clock,
+        open_link: OpenLink,
+        options: Options,
+        axes_needed: int,
+        goodbye: bytes = b"",
+        shared: bool = False,
     ) -> None:
-        """goodbye: what frees a handle where the controller can not see that its client has gone."""
+        """goodbye: what frees a handle where the controller can not see that its client has gone. shared: there is one
+        port only, which no second connection can be made to."""
         self._clock = clock
+        self._shared = shared
         self._goodbye = goodbye
         self._open_link = open_link
         self._options = options
         self._axes_needed = axes_needed
         self._session: Session | None = None
-        self._stops: StopHandle | None = None
+        self._stops: StopHandle | SharedStops | None = None
         self._format: RecordFormat | None = None
         self._close_link = lambda: asyncio.sleep(0)
         # It outlives the links: only so can a power cycle be told from a broken cable.
@@ -51,7 +59,12 @@ class Device:
         link = await self._open_link()
         self._close_link = lambda: self._leave(link)
         session = self._session = Session(link, self._options.timeout_s)
-        self._stops = StopHandle(await self._open_link())
+        if self._shared:
+            # The one port carries stops too, past whatever is under way on it; and it may echo (L4833).
+            self._stops = SharedStops(session)
+            await session.tell("EO 0")
+        else:
+            self._stops = StopHandle(await self._open_link())
         # Messages of programs go to the serial port, not between our replies (L3556).
         await session.tell("CFS")
         revision = " ".join(await session.ask_all(REVISION))

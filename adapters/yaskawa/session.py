@@ -375,3 +375,20 @@ class StopHandle:
                 await self._link.read()
         except LinkClosed:
             return
+
+
+class SharedStops:
+    """Stops on the line that carries everything else, from the next character on."""
+
+    open = True
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def write(self, *commands: str) -> None:
+        """At once. Raises `LinkClosed`."""
+        self._session.shout(*commands)
+
+    async def close(self, goodbye: bytes = b"") -> None:
+        """The line belongs to the session."""
+        del goodbye

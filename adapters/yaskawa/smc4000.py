@@ -40,12 +40,14 @@ from adapters.yaskawa.start import Start
 from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import Controller, TcpLink, UdpLink
+from orchestrator.model.fleet import Controller, SerialLink, UdpLink
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
 AXES = 4
 FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP nothing else tells that a client has gone (L5851)
+BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
+LONGEST_EXCHANGE = 80  # characters, to and fro
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 20
 DISARM_EXCHANGES = 7
@@ -81,12 +83,17 @@ class SMC4000Driver(Driver):
 
     def __init__(self, setup: Setup) -> None:
         options = Options.model_validate(setup.options.model_dump())
+        if isinstance(setup.config.link, SerialLink):
+            wire_us = LONGEST_EXCHANGE * 10 * 1_000_000 // setup.config.link.baud
+            options = options.model_copy(update={"round_trip_us": options.round_trip_us + wire_us})
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
         self._motors = motor_indices(setup.config)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
-        self._device = Device(setup.clock, setup.open_link, options, max(self._motors.values()) + 1, goodbye)
+        shared = isinstance(setup.config.link, SerialLink)
+        axes = max(self._motors.values()) + 1
+        self._device = Device(setup.clock, setup.open_link, options, axes, goodbye, shared)
         self._start = Start(self._device, setup.clock, options)
         self._jogging = Jogging(self._device, setup.clock, self._motors)
         self._steppers: set[str] = set()
@@ -272,8 +279,8 @@ class SMC4000Make:
     options: type[BaseModel] = Options
 
     def check(self, config: Controller) -> None:
-        if not isinstance(config.link, TcpLink | UdpLink):
-            raise ValueError(f"link.kind: {config.link.kind}; an SMC-4000 is reached by `kind: tcp` or `kind: udp`")
+        if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
+            raise ValueError(f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}")
         motors = motor_indices(config)
         for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
             for name, point in points.items():
@@ -297,9 +304,9 @@ class SMC4000Make:
         return SMC4000Driver(setup)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        # A fresh connection has a line buffer of its own: nothing half-typed is before these.
-        del config
-        return "".join(f"{command}\r" for command in stop_commands(False)).encode("ascii")
+        # A fresh connection has a line buffer of its own; on the serial port something half typed may stand before.
+        flush = "\\\r" if isinstance(config.link, SerialLink) else ""
+        return (flush + "".join(f"{command}\r" for command in stop_commands(False))).encode("ascii")
 
 
 MAKE = SMC4000Make()

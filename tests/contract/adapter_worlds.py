@@ -68,6 +68,14 @@ CASES = {
     "smc4000 on UDP": case(
         "smc4000", {**TCP, "kind": "udp"}, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "udp"
     ),
+    "smc4000 on serial": case(
+        "smc4000",
+        {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},
+        {"x": "X", "y": "Y"},
+        SERVO,
+        {"axes": 2, **YASKAWA},
+        "serial",
+    ),
     "smc2000 on serial": case(
         "smc2000",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200},
