@@ -33,7 +33,7 @@ STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan
 SKEW_SAMPLES = 2.0  # and be so far from its plan on the way, at its peak speed,
 NEAR_COUNTS = 2.0  # or so many counts
 HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
-LOOP_SPREAD = 1.25  # how much longer than the option says a command may take
+LOOP_SPREAD = 2.0  # how much longer a command may take: what expressions add is not stated (L1626)
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
                 off_ns = motion.start_ns - t0_ns
                 assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
                 real_s = (motion.end_ns - motion.start_ns) * 1e-9
-                assert abs(real_s - lowered.durations_s[axis]) <= lowered.tick_ns * 1e-9 + 1e-5
+                assert abs(real_s - lowered.durations_s[axis]) <= lowered.tick_ns * 1e-9 + 1.1e-4 * real_s
                 clock_ns = lowered.terms[0].latest_ns - lowered.terms[0].earliest_ns
                 assert started[axis].latest_ns - started[axis].earliest_ns <= 2 * lowered.tick_ns + clock_ns + 2
                 assert outcome.ended[axis].latest_ns - outcome.ended[axis].earliest_ns <= 8 * lowered.tick_ns + clock_ns
@@ -341,8 +341,8 @@ def test_a_contour_that_is_fed_too_slowly_is_a_fault(refuses: bool):
     async def main(world: World) -> None:
         await world.ready()
         lowered, _ = await armed(world, jerked({"x": (0, 90_000)}), 3.0)
-        assert lowered.load.contour.interval == 2
-        world.controller.machine.timing = Timing(decode_ns=1_300_000)  # pyright: ignore
+        assert lowered.load.contour.interval == 3
+        world.controller.machine.timing = Timing(decode_ns=2_500_000)  # pyright: ignore
         await world.driver.go()
         await world.driver.started()
         outcome = await world.driver.outcome()
@@ -436,7 +436,7 @@ def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
 def test_arrays_and_number_formats_of_others_are_left_as_they_are():
     async def main(world: World) -> None:
         await world.ready()
-        await world.talk("DM MINE[14000]")
+        await world.talk("DM MINE[14800]")
         await world.talk("PF -8.2")
         _, _, outcome, _ = await world.moved(jerked({"x": (0, 90_000)}), 1.5)
         assert outcome.state == "done"
@@ -444,7 +444,7 @@ def test_arrays_and_number_formats_of_others_are_left_as_they_are():
         with pytest.raises(CannotDo) as refusal:
             await armed(world, jerked({"x": (90_000, 500_000)}))
         assert refusal.value.refusal.code == "array-space"
-        assert "14000" in await world.talk("LA")
+        assert "14800" in await world.talk("LA")
 
     run(main)
 
@@ -485,7 +485,7 @@ def test_a_speed_beyond_what_a_record_can_hold_is_refused():
             world.driver.lower(fast, "auto", world.driver.mapping())
         assert refusal.value.refusal.code == "record-range"
         assert "axis x" in refusal.value.refusal.text
-        assert "at most 8191" in refusal.value.refusal.remedy
+        assert "at most 4095" in refusal.value.refusal.remedy
 
     limits = LIMITS | {"velocity": 1e4, "acceleration": 6e4}
     axes = {"x": {"motors": ["X"], "unit": "mm", "scale": 1000, "limits": limits}}

@@ -185,7 +185,10 @@ def test_the_shortest_record_is_one_that_the_program_keeps_up_with():
     assert least_interval(3.75e6, TICK_NS / 4, SMC4000) == 4
     jerked = dict(plan_step([AxisMove("x", 0, 50_000, 5e4, 5e5, 5e6, order=3)]).profiles)
     slow = lower(jerked, decode_us=1000)
-    assert isinstance(slow.load, Records) and slow.load.contour.interval == 3
+    assert isinstance(slow.load, Records) and slow.load.contour.interval == 4
+    usual, quick = lower(jerked), lower(jerked, decode_us=300)
+    assert isinstance(usual.load, Records) and usual.load.contour.interval == 3
+    assert isinstance(quick.load, Records) and quick.load.contour.interval == 2
 
 
 def test_a_move_that_is_faster_than_its_registers_is_refused_with_what_would_fit():
