@@ -9,6 +9,7 @@ from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.statements import Raw, Statement, compile_line
 from sim.yaskawa.threads import Thread
+from sim.yaskawa.timebase import NEVER_NS
 from sim.yaskawa.trippoints import Trip, at_sample
 
 if TYPE_CHECKING:
@@ -30,6 +31,9 @@ class Interpreter:
         self.threads = [Thread(number) for number in range(machine.model.threads)]
         self.contexts = [Context(machine, thread) for thread in self.threads]
         self.busy = False
+        self.decoded_ns = NEVER_NS
+        """True instant at which the command under way will have been decoded."""
+        self._decoding: tuple[Port | None, Thread | None] = (None, None)
         self.trace = False
         self.break_at: tuple[int, int] | None = None
         self.break_hit = False
@@ -42,14 +46,13 @@ class Interpreter:
         self.interrupts_on = False
         self._current: Thread | None = None
         self._turn = 0
-        self._epoch = 0
 
     def reset(self) -> None:
         """Power-up: nothing runs."""
         for thread in self.threads:
             thread.halt()
-        self._epoch += 1
         self.busy = self.trace = self.break_hit = self.interrupts_on = False
+        self.decoded_ns = NEVER_NS
         self.break_at = None
         self.interrupts = self.active_high = 0
         self._current = None
@@ -94,34 +97,50 @@ class Interpreter:
                 continue
             self.busy = True
             timebase = self.machine.timebase
-            timebase.clock.call_at_ns(timebase.after_ns(delay_ns), partial(self._decoded, self._epoch, port, thread))
+            due_ns = self.decoded_ns = timebase.after_ns(delay_ns)
+            self._decoding = (port, thread)
+            timebase.clock.call_at_ns(due_ns, partial(self._decode_by, due_ns))
 
-    def _decoded(self, epoch: int, port: "Port | None", thread: Thread | None) -> None:
-        """A command has been decoded: run it, unless a reset came between."""
-        if epoch != self._epoch:
-            return
+    def _decode_by(self, due_ns: int) -> None:
+        """Its time has come, unless it has been run already, or a reset came between."""
+        if due_ns == self.decoded_ns:
+            self.decoded()
+
+    def decoded(self) -> None:
+        """The command under way has been decoded, at its `decoded_ns`: run it."""
+        (port, thread), due_ns = self._decoding, self.decoded_ns
         self.busy = False
-        self.machine.settle()
-        self._perform(port, thread)
-        self.machine.go_on()
+        self.decoded_ns = NEVER_NS
+        timebase = self.machine.timebase
+        timebase.due_ns = due_ns
+        try:
+            self.machine.settle()
+            self._perform(port, thread)
+            self.machine.go_on()
+        finally:
+            timebase.due_ns = None
 
     def _choose(self) -> "tuple[Port | None, Thread | None]":
         current = self._current
         if self.machine.model.by_line and current is not None and current.ready and current.index:
             return None, current
         self._current = None
-        places = len(self.threads) + 1
-        for step in range(places):
-            place = (self._turn + step) % places
-            if place == 0:
-                for port in self.machine.ports.all():
-                    if port.queue and port.trip is None:
-                        self._turn = 1
-                        return port, None
-            elif self.threads[place - 1].ready:
-                self._turn = (place + 1) % places
-                return None, self.threads[place - 1]
+        first = self._turn
+        for thread in self.threads[max(first - 1, 0) :] if first else ():
+            if thread.ready:
+                return None, self._chosen(thread)
+        for port in self.machine.ports.all():
+            if port.queue and port.trip is None:
+                self._turn = 1
+                return port, None
+        for thread in self.threads[: first - 1] if first else self.threads:
+            if thread.ready:
+                return None, self._chosen(thread)
         return None, None
+
+    def _chosen(self, thread: Thread) -> Thread:
+        self._turn = (thread.number + 2) % (len(self.threads) + 1)
+        return thread
 
     def _perform(self, port: "Port | None", thread: Thread | None) -> None:
         if port is not None:

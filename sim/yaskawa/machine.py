@@ -61,6 +61,7 @@ class Machine:
         self.events = Events(self)
         self._timer: Timer | None = None
         self._timer_sample: float = inf
+        self._timer_due_ns = 0
         self._clear()
         self.memory.restore()
 
@@ -156,13 +157,33 @@ class Machine:
         if due != inf:
             due_ns = self.timebase.true_ns(int(max(due, now)))
             if due_ns != NEVER_NS:
+                self._timer_due_ns = due_ns
                 self._timer = self.timebase.clock.call_at_ns(due_ns, self._wake)
+
+    def catch_up(self) -> None:
+        """Live, timers are late: what was due before something comes from outside has happened before it."""
+        now_ns = self.timebase.clock.now_ns()
+        while self.powered:
+            wake_ns = NEVER_NS if self._timer is None else self._timer_due_ns
+            if min(wake_ns, self.interpreter.decoded_ns) >= now_ns:
+                return
+            if wake_ns <= self.interpreter.decoded_ns:
+                assert self._timer is not None
+                self._timer.cancel()
+                self._wake()
+            else:
+                self.interpreter.decoded()
 
     def _wake(self) -> None:
         self._timer = None
         self._timer_sample = inf
-        self.settle()
-        self.go_on()
+        timebase = self.timebase
+        timebase.due_ns = self._timer_due_ns
+        try:
+            self.settle()
+            self.go_on()
+        finally:
+            timebase.due_ns = None
 
     def wire_clock(self, source: "Machine") -> None:
         """A wire brings the sample clock of `source`; it counts while `TM` is negative."""

@@ -56,6 +56,7 @@ class Port:
         if not self.open:
             return
         machine = self.machine
+        machine.catch_up()
         machine.settle()
         self.heard_ns = machine.timebase.clock.now_ns()
         text = data.decode("latin-1")
@@ -71,7 +72,8 @@ class Port:
             self.feed()
         if self.owner.strict_packets and self.kind != "serial":
             self._line = ""
-        machine.go_on()
+        if self.kind == "serial" or not machine.interpreter.busy:
+            machine.go_on()
 
     def feed(self) -> None:
         """Take apart what has arrived, as far as nothing has to be run first."""

@@ -25,6 +25,7 @@ class CommandPort(Port):
         if not self.open:
             return
         machine = self.machine
+        machine.catch_up()
         machine.settle()
         for character in data.decode("latin-1"):
             self._arrive(character)
@@ -134,6 +135,7 @@ class GeneralPort(Port):
         baud, _, chained, echo = machine.second_line
         if not self.open or not baud or chained:
             return
+        machine.catch_up()
         machine.settle()
         for character in data.decode("latin-1"):
             if echo:

@@ -12,6 +12,7 @@ from sim.core.oscillator import Oscillator
 TIME_WRAP = 1 << 31
 NEVER_NS = 1 << 62
 NOMINAL_US = 1000
+LATEST_NS = 50_000_000  # a process that was held up for longer goes on from where it is
 
 
 class Timebase:
@@ -27,6 +28,12 @@ class Timebase:
         """Of `TM`; negative for an external clock."""
         self.running = True
         self._own = True
+        self.due_ns: int | None = None
+        """True instant at which what is worked out now was due; None for what comes from outside."""
+        self._latest_ns = 0
+        self._seen_ns = -1
+        """True time for which `_seen_sample` was worked out: within one instant many ask."""
+        self._seen_sample = 0
         self._base_ns = self.device_ns()
         self._base_tick = 0
         self._zero_tick = 0
@@ -41,6 +48,7 @@ class Timebase:
     def reset(self) -> None:
         """Power-up or reset: sample 0 is now, on the own clock."""
         tick = self.tick()
+        self._seen_ns = -1
         self.running = self._own = True
         self.period_us = NOMINAL_US
         self._base_ns, self._base_tick = self.device_ns(), tick + 1
@@ -53,6 +61,7 @@ class Timebase:
         for follower, _ in self.followers:
             follower.hold()
         self.running = self._own = False
+        self._seen_ns = -1
         self._tellfollowers()
 
     def set_period(self, period_us: int) -> None:
@@ -64,6 +73,7 @@ class Timebase:
         if period_us > 0:
             self._base_ns = self._tick_device_ns(tick) if self.period_us > 0 else self.device_ns()
         self._base_tick = tick
+        self._seen_ns = -1
         self.period_us = period_us
         self._own = self.running and period_us > 0
         self.joined = False
@@ -110,7 +120,7 @@ class Timebase:
     # Reading
 
     def device_ns(self) -> int:
-        return self.oscillator.device_ns(self.clock.now_ns())
+        return self.oscillator.device_ns(self.now_ns())
 
     def tick(self) -> int:
         """The tick that runs now."""
@@ -121,7 +131,12 @@ class Timebase:
 
     def sample(self) -> int:
         """The sample that runs now."""
-        return self.tick() - self._zero_tick
+        if not self._own:
+            return self.tick() - self._zero_tick
+        now_ns = self.now_ns()
+        if now_ns != self._seen_ns:
+            self._seen_ns, self._seen_sample = now_ns, self.tick() - self._zero_tick
+        return self._seen_sample
 
     def instant(self) -> float:
         """Now in samples, with the fraction of the one that runs."""
@@ -130,7 +145,7 @@ class Timebase:
     def next_sample(self) -> int:
         """The first sample instant that is not past: a command given now takes effect there."""
         sample = self.sample()
-        return sample if not self.frozen and self.true_ns(sample) >= self.clock.now_ns() else sample + 1
+        return sample if not self.frozen and self.true_ns(sample) >= self.now_ns() else sample + 1
 
     def true_ns(self, sample: int) -> int:
         """The true instant of a sample; `NEVER_NS` for one to come while there are none."""
@@ -140,6 +155,18 @@ class Timebase:
         """The true instant at which `device_ns` of device time will have passed from now."""
         return self.oscillator.true_ns(self.device_ns() + device_ns)
 
+    def now_ns(self) -> int:
+        """The true instant at which what happens now happens in the controller.
+
+        Live, timers are late like everybody's, by up to some milliseconds. What was due before has happened when it
+        was due, because a processor adds no such delays up, and nobody could look in between; time never goes back.
+        """
+        now_ns, due_ns = self.clock.now_ns(), self.due_ns
+        if due_ns is not None and 0 < now_ns - due_ns < LATEST_NS:
+            now_ns = max(due_ns, self._latest_ns)
+        self._latest_ns = now_ns
+        return now_ns
+
     def sample_rate(self) -> float:
         """Samples in a true second, by the oscillator's present rate."""
         if self.frozen:
@@ -147,7 +174,7 @@ class Timebase:
         source = self._live
         if source is not None:
             return source.sample_rate()
-        now_ns = self.clock.now_ns()
+        now_ns = self.now_ns()
         rate = (self.oscillator.device_ns(now_ns + 1_000_000_000) - self.oscillator.device_ns(now_ns)) * 1e-9
         return rate * 1_024_000 / self.period_us
 
@@ -164,7 +191,7 @@ class Timebase:
             return self.oscillator.true_ns(self._tick_device_ns(tick))
         source = self._live
         if source is None:
-            return NEVER_NS if tick > self._base_tick else self.clock.now_ns()
+            return NEVER_NS if tick > self._base_tick else self.now_ns()
         return source.tick_true_ns(tick - self._shift)
 
     def _tick_device_ns(self, tick: int) -> int:
