@@ -30,6 +30,7 @@ from orchestrator.model.state import (
 )
 
 CLOCK_EVERY = 10  # states between two puts of the mapping, which moves slowly
+_NONE = Fraction(0)
 
 
 class Presenter:
@@ -120,7 +121,7 @@ class Presenter:
 
     def _axis(self, name: str, reading: Reading | None) -> AxisState:
         axis = self._config.axes[name]
-        offset = self._remembered.now.offsets.get(name, Fraction(0))
+        offset = self._remembered.now.offsets.get(name, _NONE)
         if reading is None:
             return AxisState(
                 position=0.0,
@@ -137,9 +138,10 @@ class Presenter:
             )
         now = reading.axes[name]
         motor = axis.to_unit(now.actual_counts)
+        shift = float(offset) if offset else 0.0
         return AxisState(
-            position=axis.wrapped(motor + float(offset)),
-            commanded=axis.wrapped(axis.to_unit(now.commanded_counts) + float(offset)),
+            position=axis.wrapped(motor + shift),
+            commanded=axis.wrapped(axis.to_unit(now.commanded_counts) + shift),
             velocity=axis.to_unit(now.velocity_counts_s),
             motor_position=motor,
             raw_counts=now.actual_counts,

@@ -172,11 +172,11 @@ class Unit:
         """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
         rates = self._config.state
         hz = rates.moving_hz if self._presenter.mode() in ("moving", "jogging", "homing", "stopping") else rates.idle_hz
+        timer = asyncio.get_running_loop().call_later(1.0 / hz, self._poke.set)
         try:
-            async with asyncio.timeout(1.0 / hz):
-                await self._poke.wait()
-        except TimeoutError:
-            pass
+            await self._poke.wait()
+        finally:
+            timer.cancel()
         self._poke.clear()
         while (until_ns := self._member.quiet_until_ns()) is not None:
             await sleep_until_ns(self._clock, until_ns + NS_PER_MS)

@@ -87,6 +87,40 @@ def virtual(as_json: bool, hours: float) -> None:
         )
 
 
+@bench.command(epilog="Example: tutti bench sim --controllers 64 --json")
+@json_option
+@click.option("--controllers", default=64, show_default=True, type=click.IntRange(1, 512), help="Of four axes each.")
+@click.option("--seconds", default=10.0, show_default=True, type=click.FloatRange(1, 200), help="Of fleet time, each.")
+@click.option("--step", is_flag=True, help="Also in a step of a job; homing all axes before takes long.")
+def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
+    """Time simulated SMC-4000, read by their adapters at 10 Hz, in virtual time, and say where the time goes.
+
+    Idle, and with all axes moving, told so by another host.
+    """
+    from rich.table import Table
+
+    from orchestrator.lab.bench_sim import bench_sim
+
+    figures = bench_sim(controllers, seconds, step=step)
+    windows = {"idle": figures.idle, "moving": figures.moving}
+    if figures.step is not None:
+        windows["in a step"] = figures.step
+    if as_json:
+        shown = {name.removeprefix("in a "): window._asdict() for name, window in windows.items()}
+        print_json(figures._asdict() | shown)
+        return
+    title = f"{figures.controllers} simulated SMC-4000, {figures.axes} axes, read at {figures.poll_hz:g} Hz"
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column("")
+    for name in ("times real time", "controller-seconds a CPU second"):
+        table.add_column(name, justify="right")
+    for name, window in windows.items():
+        table.add_row(name, f"{window.speedup:.1f}", f"{window.controller_s:.0f}")
+    console.print(table)
+    shares = sorted(figures.shares.items(), key=lambda item: -item[1])
+    console.print("while moving: " + ", ".join(f"{part} {share:.0f} %" for part, share in shares), highlight=False)
+
+
 @bench.command(epilog="Example: tutti bench jog --presses 100 --json")
 @json_option
 @click.option("--presses", default=100, show_default=True, type=click.IntRange(1, 10_000), help="Of a key.")

@@ -8,7 +8,7 @@ VIRTUAL_ZERO = datetime(2026, 1, 1, tzinfo=UTC)
 
 def rfc3339(instant: datetime) -> str:
     """`instant` in UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
-    return instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return instant.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="microseconds") + "Z"
 
 
 def virtual_utc(now_ns: int) -> str:

@@ -1,6 +1,7 @@
 """What all models have in common: strict, frozen, finite."""
 
 from fractions import Fraction
+from functools import lru_cache
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
@@ -24,9 +25,15 @@ def parse_rational(value: object) -> Fraction:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
     try:
-        return Fraction(str(value).replace(" ", ""))
+        return _rational(str(value))
     except (ValueError, ZeroDivisionError):
         raise ValueError(f'{value!r} is no number; write e.g. 400, 0.25, or "10000/3"') from None
+
+
+@lru_cache(maxsize=1024)
+def _rational(text: str) -> Fraction:
+    """States say the same few offsets again and again."""
+    return Fraction(text.replace(" ", ""))
 
 
 Rational = Annotated[

@@ -64,11 +64,15 @@ def latched(c: Context, axis: Axis) -> int:
 
 def velocity(c: Context, axis: Axis) -> int:
     """`TV`: counts/s, averaged over 256 samples."""
+    now = c.machine.now()
+    return _speed(axis, now, axis.command(now))
+
+
+def _speed(axis: Axis, now: int, here: float) -> int:
     if axis.frozen is not None:
         return 0
-    now = c.machine.now()
     span = min(AVERAGED, max(now, 1))
-    return fixed.rounded((axis.command(now) - axis.command(now - span)) / span / SPEED_UNIT)
+    return fixed.rounded((here - axis.command(now - span)) / span / SPEED_UNIT)
 
 
 def volts(c: Context, axis: Axis) -> int:
@@ -76,28 +80,38 @@ def volts(c: Context, axis: Axis) -> int:
     if axis.motor_off:
         return 0
     bias = axis.registers["OF"] / fixed.ONE
-    if axis.profile is not None and axis.moving:
+    gain, speed_gain = axis.registers["FA"] / fixed.ONE, axis.registers["FV"] / fixed.ONE
+    if gain and axis.profile is not None and axis.moving:
         change = axis.profile.acceleration(c.machine.now()) * 1048576
-        bias += max(min(axis.registers["FA"] / fixed.ONE * change * _FEED_FORWARD, 10.0), -10.0)
-    speed = axis.command_velocity(c.machine.now()) / SPEED_UNIT
-    bias += axis.registers["FV"] / fixed.ONE * speed * _SPEED_FORWARD
+        bias += max(min(gain * change * _FEED_FORWARD, 10.0), -10.0)
+    if speed_gain:
+        bias += speed_gain * axis.command_velocity(c.machine.now()) / SPEED_UNIT * _SPEED_FORWARD
+    if not bias:
+        return 0
     limit = min(axis.registers["TL"] / fixed.ONE, _VOLTS)
     return fixed.of(max(min(bias, limit), -limit))
 
 
 def switches(c: Context, axis: Axis) -> int:
     """`TS` (L10906)."""
-    motion, now = c.machine.motion, c.machine.now()
-    active_high = c.machine.model.switch_levels and c.machine.polarity[0] > 0
+    now = c.machine.now()
+    return _switch_bits(c, axis, now, axis.reference(now), axis.actual(now))
+
+
+def _switch_bits(c: Context, axis: Axis, now: int, command_now: int, encoder_now: int) -> int:
+    machine = c.machine
+    motion = machine.motion
+    active_high = machine.model.switch_levels and machine.polarity[0] > 0
     forward = motion.limit_active(axis, True, now) == active_high
     reverse = motion.limit_active(axis, False, now) == active_high
+    home = machine.world.home_level(axis.name, encoder_now - axis.physical_zero)
     return (
         axis.moving << 7
-        | c.machine.events.excessive(axis.name, now) << 6
+        | machine.events.beyond(axis, command_now - encoder_now) << 6
         | axis.motor_off << 5
         | forward << 3
         | reverse << 2
-        | home_level(c, axis) << 1
+        | home << 1
         | (not axis.latch_armed) << 0
     )
 
@@ -227,7 +241,7 @@ def _record_sizes(text: str) -> Runner:
 
 # The data record
 
-_BLOCKS = "ABCDEFGHST.I"
+_AXIS_BLOCK = struct.Struct("<HBBiiiiih")
 
 
 @command("QR")
@@ -240,7 +254,8 @@ def _data_record(text: str) -> Runner:
         machine = c.machine
         names = wanted or {*"IST", *"ABCD"[: len(machine.letters)]}
         blocks = b""
-        header = 0x8000
+        header, now = 0x8000, machine.now()
+        padding = bytes(_axis_bytes(c) - _AXIS_BLOCK.size)
         if "I" in names:
             header |= 0x400
             blocks += _general_block(c)
@@ -251,7 +266,7 @@ def _data_record(text: str) -> Runner:
         for index, letter in enumerate("ABCD"):
             if letter in names:
                 header |= 1 << index
-                blocks += _axis_block(c, machine.axis("XYZW"[index]))
+                blocks += _axis_block(c, machine.axis("XYZW"[index]), now) + padding
         data = struct.pack("<HH", header, len(blocks) + 4) + blocks
         if c.port is None:
             machine.ports.message(data.decode("latin-1"))
@@ -284,24 +299,22 @@ def _system_block(c: Context, system: System) -> bytes:
     return struct.pack("<HHi", system.index(now) & 0xFFFF, status, fixed.wrapped(int(system.travelled(now))))
 
 
-def _axis_block(c: Context, axis: Axis) -> bytes:
-    machine = c.machine
-    now = machine.now()
-    command_now, encoder_now = axis.reference(now), axis.actual(now)
-    speed = velocity(c, axis)
-    block = struct.pack(
-        "<HBBiiiiih",
-        _axis_status(c, axis, now),
-        _axis_switches(c, axis),
+def _axis_block(c: Context, axis: Axis, now: int) -> bytes:
+    """The command is worked out once for all that is told about it: the record is what hosts poll."""
+    here = axis.command(now)
+    command_now = fixed.wrapped(fixed.rounded(here))
+    encoder_now = axis.actual(now)
+    return _AXIS_BLOCK.pack(
+        _axis_status(axis, now),
+        _axis_switches(c, axis, _switch_bits(c, axis, now, command_now, encoder_now)),
         axis.stop_code,
         axis.reported(command_now),
         axis.reported(encoder_now),
         fixed.wrapped(command_now - encoder_now),
         auxiliary(c, axis),
-        fixed.wrapped(speed * 64),
+        fixed.wrapped(_speed(axis, now, here) * 64),
         max(min(round(volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
     )
-    return block + bytes(_axis_bytes(c) - len(block))
 
 
 def _axis_bytes(c: Context) -> int:
@@ -309,20 +322,19 @@ def _axis_bytes(c: Context) -> int:
     return options.qr_axis_bytes if isinstance(options, Smc4000Options) else 0
 
 
-def _axis_switches(c: Context, axis: Axis) -> int:
-    state = switches(c, axis)
+def _axis_switches(c: Context, axis: Axis, state: int) -> int:
     latch_input = axis.index < 8 and c.machine.world.inputs[axis.index]
     captured = not axis.latch_armed and axis.latch_used
     return captured << 7 | latch_input << 6 | state & 0x0E
 
 
-def _axis_status(c: Context, axis: Axis, now: int) -> int:
-    profile = axis.profile
-    slope = profile.acceleration(now) if profile is not None and axis.moving else 0.0
-    rate = axis.command_velocity(now)
+def _axis_status(axis: Axis, now: int) -> int:
+    profile, moving = axis.profile, axis.moving
+    slope = profile.acceleration(now) if profile is not None and moving else 0.0
+    rate = axis.command_velocity(now) if axis.mode or axis.gear.on else 0.0
     positioning = axis.armed in ("PR", "PA")
     return (
-        axis.moving << 15
+        moving << 15
         | positioning << 14
         | (axis.armed == "PA") << 13
         | (axis.mode == "edge") << 12
@@ -332,7 +344,7 @@ def _axis_status(c: Context, axis: Axis, now: int) -> int:
         | (axis.mode == "sequence") << 8
         | (rate < 0) << 7
         | (axis.mode == "contour") << 6
-        | (axis.moving and slope == 0 and rate != 0) << 5
+        | (moving and slope == 0 and rate != 0) << 5
         | axis.stopping << 4
         | (axis.mode == "move" and slope * rate < 0) << 3
         | axis.latch_armed << 2

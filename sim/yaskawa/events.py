@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from sim.yaskawa import fixed
+from sim.yaskawa.axis import Axis
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
@@ -39,13 +40,12 @@ class Events:
         return any(motion.limit_active(axis, side, now) for axis in motion.real for side in (True, False))
 
     def _error_stands(self, now: int) -> bool:
-        return any(self.excessive(axis.name, now) for axis in self.machine.motion.real if axis.frozen is not None)
+        return any(self.beyond(axis, axis.error(now)) for axis in self.machine.motion.real if axis.frozen is not None)
 
-    def excessive(self, name: str, now: int) -> bool:
-        """Whether the position error of a servo is beyond ER (L4962)."""
-        axis = self.machine.motion.axes[name]
+    def beyond(self, axis: Axis, error: int) -> bool:
+        """Whether a position error is beyond ER, for a servo that is on (L4962)."""
         limit = fixed.truncated(axis.registers["ER"])
-        return bool(limit) and not axis.virtual and not axis.motor_off and abs(axis.error(now)) > limit
+        return bool(limit) and not axis.virtual and not axis.motor_off and abs(error) > limit
 
     def inputs_changed(self, number: int, level: bool) -> None:
         """An input that is enabled by II has come to its active level (L5952)."""

@@ -4,6 +4,8 @@ A value is a Python `int` in units of 1/65536. A string of up to 6 characters is
 first character highest (L15743).
 """
 
+from math import floor
+
 from sim.yaskawa.errors import CommandError
 
 ONE = 65536
@@ -88,4 +90,4 @@ def wrapped(counts: int) -> int:
 
 def rounded(value: float) -> int:
     """The nearest integer, halves upward."""
-    return int((value + 0.5) // 1)
+    return floor(value + 0.5)

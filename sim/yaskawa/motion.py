@@ -39,6 +39,7 @@ class MotionControl:
         if figures.virtual_axis:
             self.axes["N"] = Axis("N", len(letters), figures.lag)
             self.axes["N"].motor_off, self.axes["N"].frozen = False, None
+        self._all = tuple(self.axes.values())
         self.systems = {name: System(name, figures.vector) for name in figures.systems}
         self.contour: Contour | None = None
         self.contour_interval = 0
@@ -53,15 +54,17 @@ class MotionControl:
     # What moves
 
     def all_axes(self) -> tuple[Axis, ...]:
-        return tuple(self.axes.values())
+        return self._all
 
     def active(self) -> bool:
         """Whether anything is commanded to move."""
-        return any(axis.moving for axis in self.axes.values())
+        return any(axis.mode and axis.mode != "cam" for axis in self._all)
 
     def due(self) -> float:
         """The next sample at which something happens by itself."""
-        due = min(min(axis.end, axis.watch) for axis in self.axes.values())
+        due = inf
+        for axis in self._all:
+            due = min(due, axis.end, axis.watch)
         for system in self.systems.values():
             if system.running:
                 due = min(due, system.end())
@@ -73,14 +76,21 @@ class MotionControl:
 
     def _polled(self) -> bool:
         """Whether limits or cams have to be looked at in every sample."""
-        if not self.active():
-            return False
-        if self.cam.waiting:
-            return True
-        return any(
-            (axis.mode in ("sequence", "contour") or (axis.gear.on and axis.moving)) and self._bounded(axis)
-            for axis in self.real
-        ) or any(axis.frozen is not None and axis.moving and self._error_limit(axis) for axis in self.real)
+        moving = geared = False
+        for axis in self._all:
+            geared = geared or axis.gear.on
+            if not axis.mode or axis.mode == "cam":
+                continue
+            if self.cam.waiting:
+                return True
+            moving = True
+            if axis.virtual:
+                continue
+            if axis.mode in ("sequence", "contour") and self._bounded(axis):
+                return True
+            if axis.frozen is not None and self._error_limit(axis):
+                return True
+        return moving and geared and any(axis.gear.on and self._bounded(axis) for axis in self.real)
 
     def _bounded(self, axis: Axis) -> bool:
         return (
@@ -191,6 +201,8 @@ class MotionControl:
             self.coordinated.stop(axis, at, code)
             return
         if axis.gear.engaged and not axis.gear.gantry:
+            if self._follows(axis) and code in (FORWARD_CODE, REVERSE_CODE):
+                axis.stop_code = code
             axis.registers["GR"] = 0
             self.set_gear_ratio(axis, 0.0, at)
         if axis.mode == "contour":
@@ -202,6 +214,10 @@ class MotionControl:
             axis.ending_code = LATCH_OVERRUN_CODE if axis.ending_code == LATCH_CODE else code
             self._note_slowing(axis, at)
             self.plan(axis, at)
+
+    def _follows(self, axis: Axis) -> bool:
+        """Whether it is moved by gearing alone, which a limit ends (L5543)."""
+        return axis.gear.engaged and not axis.gear.gantry and not axis.moving
 
     def _stop_contour(self, at: int, code: int) -> None:
         if self.contour is not None and code == STOP_CODE and self.figures.contour_stops_at_record:
@@ -248,7 +264,7 @@ class MotionControl:
     def look_at_limits(self, at: int) -> None:
         """A limit switch has changed."""
         for axis in self.real:
-            if not axis.moving or axis.stopping:
+            if (not axis.moving and not self._follows(axis)) or axis.stopping:
                 continue
             velocity = axis.command_velocity(at) or axis.command_velocity(at + 1)
             if velocity and self.limit_active(axis, velocity > 0, at):
@@ -281,7 +297,7 @@ class MotionControl:
     def settle(self, now: int) -> bool:
         """Bring everything up to sample `now`; whether anything has changed."""
         changed = False
-        for axis in self.axes.values():
+        for axis in self._all:
             while axis.watch <= now or axis.end <= now:
                 changed = True
                 if axis.watch < axis.end and axis.watch <= now:
@@ -348,7 +364,8 @@ class MotionControl:
     def _poll(self, now: int) -> bool:
         changed = False
         for axis in self.real:
-            if axis.mode in ("sequence", "contour", "move", "jog") and not axis.stopping and self._bounded(axis):
+            running = axis.mode in ("sequence", "contour", "move", "jog") and not axis.stopping
+            if (running or self._follows(axis)) and self._bounded(axis):
                 velocity = axis.command_velocity(now)
                 if velocity and self.blocked(axis, velocity > 0, now):
                     self.stop(axis, now, FORWARD_CODE if velocity > 0 else REVERSE_CODE)
