@@ -263,6 +263,14 @@ class Driver(ABC):
         Returns when the order is sent; never waits for an outstanding reply, and may be called beside any other call.
         """
 
+    async def stop_first(self) -> bool:
+        """Stop a controller that may be moving before anything else is asked of it, by a link that it shares with
+        others. False: it has one of its own, and the caller opens it and writes the make's `stop_bytes`.
+
+        Raises `LinkRefused`, `LinkClosed`.
+        """
+        return False
+
     @abstractmethod
     async def enable(self, axes: Sequence[str], on: bool) -> None:
         """Switch motors. Raises `CannotDo`."""

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from adapters.host import find_make
+from adapters.host import stops_by_line
 from adapters.host_process import BAD_INPUT, BadInput, host_parser, load_host, open_sink
 from adapters.link.last_stop import last_stop
 from adapters.link.open import open_link
@@ -108,7 +108,7 @@ class Guardian:
         self._hung_ns = hung_ns
         self._log = log
         # Made before they are needed: what has to be imported for them might fail, or take its time.
-        self._stops = {name: find_make(config.adapter).stop_bytes(config) for name, config in controllers.items()}
+        self._lines = stops_by_line(controllers)
         self._ended = False
         self._woken = asyncio.Event()
 
@@ -155,14 +155,14 @@ class Guardian:
         self._log.info(trouble, level="error", pid=child.process.pid)
         # Before its first beat it has not touched any controller; whatever moves is then not its doing.
         if child.beaten:
-            await asyncio.gather(*(self._stop(name) for name in self._controllers))
+            await asyncio.gather(*(self._stop(names, stop) for names, stop in self._lines))
 
-    async def _stop(self, controller: str) -> None:
-        """Stop one controller, past whatever its dead driver was saying to it."""
-        stop, clock = self._stops[controller], LiveClock()
+    async def _stop(self, names: Sequence[str], stop: bytes) -> None:
+        """Stop the controllers on one line, past whatever their dead drivers were saying to them."""
+        clock, controller = LiveClock(), ", ".join(names)
         begun_ns = clock.now_ns()
         try:
-            done = await last_stop(open_link(self._controllers[controller].reached_by, clock), stop, clock)
+            done = await last_stop(open_link(self._controllers[names[0]].reached_by, clock), stop, clock)
         except (LinkRefused, LinkClosed) as error:
             self._log.info(f"NOT stopped: {error}", level="error", controller=controller)
         except Exception as error:

@@ -1,8 +1,8 @@
 """An adapter host: the units of one machine, and what they all hear (the reign, the e-stop)."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any, cast
 
@@ -54,6 +54,19 @@ def check_controller(name: str, config: Controller) -> None:
         raise ValueError(f"controllers.{name}: {error}") from None
 
 
+def stops_by_line(controllers: Mapping[str, Controller]) -> list[tuple[list[str], bytes]]:
+    """For each line the names of its controllers, and what stops all of them: a line is opened once."""
+    lines: dict[str, tuple[list[str], list[bytes]]] = {}
+    for name, config in controllers.items():
+        names, stops = lines.setdefault(config.link.place, ([], []))
+        names.append(name)
+        stop = find_make(config.adapter).stop_bytes(config)
+        # What reaches all units of a line need not be said for each.
+        if stop not in stops:
+            stops.append(stop)
+    return [(names, b"".join(stops)) for names, stops in lines.values()]
+
+
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """What a host is given: everything that differs between live and virtual."""
@@ -66,6 +79,14 @@ class Surroundings:
     store: Callable[[str], Store]
     sink: Sink
     instance: str
+
+
+@dataclass(frozen=True, slots=True)
+class _SharedLine:
+    """What the units on one port have in common."""
+
+    shared: dict[str, Any] = field(default_factory=dict[str, Any])
+    trace: TraceRing = field(default_factory=TraceRing)
 
 
 class AdapterHost:
@@ -82,20 +103,23 @@ class AdapterHost:
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._starts = 0
+        self._lines: dict[str, _SharedLine] = {}
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
         self.units = {controller: self._unit(controller, config) for controller, config in mine.items()}
 
     def _unit(self, controller: str, config: Controller) -> Unit:
-        around, ring = self._around, TraceRing()
+        around, line = self._around, _SharedLine()
+        if config.shares:
+            line = self._lines.setdefault(config.link.place, line)
         self._starts += 1
         make = find_make(config.adapter)
         open_plain = around.open_link(controller, config)
 
         async def open_link() -> Link:
-            return TracedLink(await open_plain(), ring)
+            return TracedLink(await open_plain(), line.trace)
 
         options = make.options.model_validate(config.options)
-        driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer))
+        driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer, line.shared))
         log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
         log.fleet_ns = self._fleet_ns
         seat = Seat(
@@ -107,7 +131,7 @@ class AdapterHost:
             keys=around.keys,
             clock=around.clock,
             open_link=open_link,
-            trace=ring,
+            trace=line.trace,
             log=log,
             instance=f"{around.instance}-{self._starts}",
             scale=lambda: self._scale,

@@ -149,12 +149,13 @@ class Unit:
 
         It is stopped before anything else is asked of it, as a guardian would.
         """
-        link = await self._seat.open_link()
-        try:
-            link.write(self._seat.make.stop_bytes(self._config))
-            await sleep_ns(self._clock, STOP_LEAVES_NS)
-        finally:
-            await link.close()
+        if not await self._driver.stop_first():
+            link = await self._seat.open_link()
+            try:
+                link.write(self._seat.make.stop_bytes(self._config))
+                await sleep_ns(self._clock, STOP_LEAVES_NS)
+            finally:
+                await link.close()
         self._stop_owed = False
         self._presenter.emit("stopped", "stopped as soon as the link was back")
 

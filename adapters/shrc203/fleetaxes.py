@@ -66,6 +66,8 @@ def limit_of(word: int, cw: str) -> Literal["none", "forward", "reverse", "both"
 
 def check(config: Controller) -> None:
     """Offline check of the fleet file. Raises `ValueError`."""
+    if config.shares:
+        raise ValueError("link.unit: an SHRC-203 has no address, and a port for itself; leave it out")
     for name, axis in config.axes.items():
         if axis.motors[0] not in ("1", "2", "3"):
             raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is no motor; allowed: '1', '2', '3'")

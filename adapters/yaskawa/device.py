@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 
 from adapters.contract import CannotDo, DriverFault, Identity
 from adapters.yaskawa import arrays
@@ -210,6 +210,10 @@ class Device:
         return {index: int(value) for index, value in zip(indices, values, strict=True)}
 
     # Beginning and stopping motion
+
+    def together(self) -> AbstractAsyncContextManager[None]:
+        """Within it nothing comes between the exchanges of this task, where others share the link."""
+        return nullcontext()
 
     def stops_given(self, index: int) -> int:
         """A number that every stop of this axis raises."""

@@ -9,6 +9,7 @@ jogs (JG, L12942), where everything may be changed on the fly, the direction too
 import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from adapters.contract import CannotDo, DriverFault, JogMove
 from adapters.yaskawa.device import Device
@@ -62,15 +63,17 @@ class Jogging:
         async with self._turns[index]:
             self._device.require_no_stop(axis, index, since)
             wanted = self._in_registers(axis, move, since)
-            now = await self._look(index)
-            if now.moving:
-                held = self._runs.get(index)
-                if held is None:
-                    raise CannotDo("moving", f"axis {axis} is moving", "wait, or stop it")
-                if await self._changed(axis, index, held, wanted, now):
+            async with self._device.together():
+                now = await self._look(index)
+                if not now.moving:
+                    await self._begun(axis, index, wanted, now)
                     return
+            held = self._runs.get(index)
+            if held is None:
+                raise CannotDo("moving", f"axis {axis} is moving", "wait, or stop it")
+            if not await self._changed(axis, index, held, wanted, now):
                 now = await self._brought_to_rest(axis, index, held)
-            await self._begun(axis, index, wanted, now)
+                await self._begun(axis, index, wanted, now)
 
     def _in_registers(self, axis: str, move: JogMove, stops: int) -> _Run:
         samples = self._device.samples
@@ -93,8 +96,8 @@ class Jogging:
         """Change the jog on the fly; False when it has to stand still first, or has just come to rest by itself."""
         if now.stopping or held.stops != wanted.stops or not held.changes_into(wanted):
             return False
-        for command in _change_commands(AXIS_LETTERS[index], held, wanted):
-            await self._device.session.tell(command, lambda: self._device.require_no_stop(axis, index, wanted.stops))
+        still = partial(self._device.require_no_stop, axis, index, wanted.stops)
+        await self._device.session.tell_all(_change_commands(AXIS_LETTERS[index], held, wanted), still)
         self._runs[index] = wanted
         if self._device.stops_given(index) != wanted.stops:
             # The two may have crossed: nobody says that a speed given to a stopping axis does not set it going again.
@@ -121,10 +124,12 @@ class Jogging:
                 "jog it the other way",
             )
         self._runs.pop(index, None)
-        for command in _begin_commands(AXIS_LETTERS[index], wanted, now.commanded):
-            await self._device.session.tell(command, lambda: self._device.require_no_stop(axis, index, wanted.stops))
-        self._runs[index] = wanted
-        await self._device.begin(axis, index, wanted.stops)
+        commands = _begin_commands(AXIS_LETTERS[index], wanted, now.commanded)
+        async with self._device.together():
+            still = partial(self._device.require_no_stop, axis, index, wanted.stops)
+            await self._device.session.tell_all(commands, still)
+            self._runs[index] = wanted
+            await self._device.begin(axis, index, wanted.stops)
 
 
 def _begin_commands(letter: str, run: _Run, start: int) -> tuple[str, ...]:

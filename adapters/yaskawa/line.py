@@ -9,6 +9,8 @@ import asyncio
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol
 
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
@@ -16,12 +18,26 @@ SHARED = "yaskawa serial line"
 """Where the drivers of one line find it in `Setup.shared`."""
 
 
-@dataclass(slots=True)
-class Ahead:
-    """A poll that was written before its turn, while the reply before it was still on its way to us."""
+class Poller(Protocol):
+    """Somebody who waits for a turn to poll."""
 
-    unit: int | None
+    def poll_ahead(self) -> str | None:
+        """What to write for it before its turn has come; None: nothing now."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """A poll that was written before its turn, while the reply before it was still kept by the serial adapter.
+
+    plain, marked: what has come for it already, by at_ns.
+    """
+
+    poller: Poller
     sent_ns: int
+    at_ns: int = 0
+    plain: bytes = b""
+    marked: bytes = b""
 
 
 class Line:
@@ -33,7 +49,9 @@ class Line:
 
     def __init__(self) -> None:
         self.turn = asyncio.Lock()
-        self.units: list[int | None] = []
+        self.owner: asyncio.Task[object] | None = None
+        """Whose turn it is."""
+        self.units: set[int | None] = set()
         self.selected: int | None = None
         self.in_step = False
         self.stops = 0
@@ -41,17 +59,12 @@ class Line:
         self.answered = False
         """Somebody has answered since the port was opened."""
         self.ahead: Ahead | None = None
-        self.waiting: deque[int | None] = deque()
-        """Who waits for a turn, in order: units that wait to poll; OTHERS for anything else."""
+        self.waiting: deque[Poller | None] = deque()
+        """Who waits for a turn, in order; None: for something else than a poll."""
         self._opening = asyncio.Lock()
         self._link: Link | None = None
         self._users: set[int | None] = set()
         self._markers = 0
-
-    @property
-    def chained(self) -> bool:
-        """Whether commands need an address."""
-        return self.units != [None]
 
     async def attach(self, unit: int | None, open_link: OpenLink) -> Link:
         """The open port; opened if nobody else has. Raises `LinkRefused`."""
@@ -84,11 +97,14 @@ class Line:
         self._markers += 1
         return f"<{self._markers}>"
 
-    def shout(self, link: Link, unit: int | None, commands: Iterable[str]) -> None:
-        """Write commands to a unit at once, past everything that is under way. Raises `LinkClosed`."""
+    def shout(self, link: Link, unit: int | None, commands: Iterable[str], unknown: bool = False) -> None:
+        """Write commands to a unit at once, past everything that is under way. Raises `LinkClosed`.
+
+        unknown: nobody knows what was said on this line before.
+        """
         self.stops += 1
         # In the middle of a download commands would be program text, and a backslash ends it (L8205).
-        ended = "\\\r" if self.loading else ""
+        ended = "\\\r" if self.loading or unknown else ""
         text = ended + address(unit) + "".join(f"{command}\r" for command in commands)
         self.out_of_step()
         try:
@@ -96,6 +112,35 @@ class Line:
         except LinkClosed:
             self.lost(link)
             raise
+
+
+class Turn:
+    """`async with`: a turn on the line; within a turn of the same task, a part of that."""
+
+    def __init__(self, line: Line, poller: Poller | None = None) -> None:
+        self._line = line
+        self._poller = poller
+        self._part = False
+
+    async def __aenter__(self) -> None:
+        line, task = self._line, asyncio.current_task()
+        self._part = line.owner is task
+        if self._part:
+            return
+        line.waiting.append(self._poller)
+        try:
+            # Turns are given in the order in which they were asked for.
+            await line.turn.acquire()
+        finally:
+            line.waiting.remove(self._poller)
+        line.owner = task
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._part:
+            self._line.owner = None
+            self._line.turn.release()
 
 
 def address(unit: int | None) -> str:

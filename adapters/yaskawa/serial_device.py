@@ -1,6 +1,7 @@
 """An SMC-2000 behind a serial line: reached, identified, given its resident program, read in one printed line."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractAsyncContextManager
 
 from adapters.contract import DriverFault, Identity
 from adapters.yaskawa import smc2000_program
@@ -8,16 +9,17 @@ from adapters.yaskawa.device import Device
 from adapters.yaskawa.line import Line
 from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD
 from adapters.yaskawa.record import MOTOR_OFF, MOVING, OFF_ON_ERROR, STOPPING, VELOCITY_SCALE, AxisRecord, Record
-from adapters.yaskawa.serial_session import ADDRESS, SerialSession
+from adapters.yaskawa.serial_polls import PolledSession
+from adapters.yaskawa.serial_session import ADDRESS
 from adapters.yaskawa.session import Refused
 from adapters.yaskawa.smc2000_options import Smc2000Options
 from adapters.yaskawa.smc2000_program import AXIS_VALUES
-from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, OpenLink
 
 THREADS = 4  # L3405
+STOP_LEAVES_NS = 50 * NS_PER_MS  # for a stop's bytes to be sent before the port may be closed
 LISTING_CHARACTERS = 5000  # a program may be so long; a controller need not send it as it reads it
-REVISION = "\x12\x16"  # control R control V (L13320); takes effect without a carriage return
 STOPPING_CODES = (2, 3, 4)  # of SC: by a limit or ST, while it still decelerates (L11427-11493)
 
 # Bits of TS (L12128-12165)
@@ -47,11 +49,10 @@ class SerialDevice(Device):
         self._axes = sorted(axes)
         self._inputs = inputs
         self._outputs = outputs
-        self._talk: SerialSession | None = None
+        self._talk: PolledSession | None = None
         self._before: tuple[int, dict[int, int]] | None = None
         """Sample and positions of the last line."""
-        self._quiet = (0, 0)
-        line.units.append(unit)
+        line.units.add(unit)
 
     # Reaching it
 
@@ -59,8 +60,8 @@ class SerialDevice(Device):
         await self.close()
         options = self._serial_options
         link = await self._line.attach(self._unit, self._open_link)
-        self._before, self._quiet = None, (0, 0)
-        session = self._talk = SerialSession(
+        self._before = None
+        session = self._talk = PolledSession(
             self._line,
             link,
             self._clock,
@@ -69,7 +70,7 @@ class SerialDevice(Device):
             options.hold_us * NS_PER_US,
             options.baud_tolerance,
         )
-        revision = " ".join(await session.ask_all(REVISION))
+        revision = await session.revision()
         present = len((await session.ask("RP")).lines[0].split(","))
         if present < self._axes_needed:
             letter = smc2000_program.LETTERS[self._axes_needed - 1]
@@ -144,17 +145,16 @@ class SerialDevice(Device):
                 "save it, then set `replace_program: true` in the controller's options",
             )
 
+    def together(self) -> AbstractAsyncContextManager[None]:
+        return self.session.together()
+
     # Talking
 
     @property
-    def session(self) -> SerialSession:
+    def session(self) -> PolledSession:
         if self._talk is None:
             raise LinkClosed("the controller is not connected")
         return self._talk
-
-    def keep_quiet(self, from_ns: int, until_ns: int) -> None:
-        """Begin no poll in this time: printing would take the interpreter from a program that is about to start."""
-        self._quiet = (from_ns, until_ns)
 
     async def record(self) -> Record:
         record, _ = await self._read_record()
@@ -169,8 +169,6 @@ class SerialDevice(Device):
         return record, restarted
 
     async def _read_record(self) -> tuple[Record, bool]:
-        while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
-            await sleep_until_ns(self._clock, self._quiet[1])
         chained = self._unit is not None
         before = len(smc2000_program.head(chained, self._inputs, self._outputs))
         count = before + AXIS_VALUES * len(self._axes)
@@ -181,12 +179,6 @@ class SerialDevice(Device):
             raise LinkClosed("its program has gone; the controller is connected again from the beginning") from None
         values = status.values
         if chained:
-            if values[0] != self._unit:
-                raise DriverFault(
-                    "garbage",
-                    f"unit {self._unit} was asked, and unit {values[0]} answers",
-                    "check the cable of the chain",
-                )
             values = values[1:]
             before -= 1
         # Two commands were carried out before the counter was read: XQ, and MG of the program.
@@ -232,6 +224,18 @@ class SerialDevice(Device):
         return tuple(records)
 
     # Stopping
+
+    async def stop_first(self) -> bool:
+        """Stop it before it is connected, over the line that others have open perhaps. False: it is alone on its."""
+        if self._unit is None:
+            return False
+        link = await self._line.attach(self._unit, self._open_link)
+        try:
+            self._line.shout(link, self._unit, stop_commands(False), unknown=True)
+            await sleep_ns(self._clock, STOP_LEAVES_NS)
+        finally:
+            await self._line.detach(self._unit)
+        return True
 
     def stop(self, abort: bool) -> None:
         self._count_stop()

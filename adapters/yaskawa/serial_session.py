@@ -8,13 +8,13 @@ marker is thrown away. A unit of a chain is asked for its own address before it 
 
 import asyncio
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.yaskawa.line import Line, address
-from adapters.yaskawa.serial_replies import parse
+from adapters.yaskawa.line import Line, Turn, address
+from adapters.yaskawa.serial_replies import Heard, parse
 from adapters.yaskawa.session import Answer, Refused, Session, parse_numbers
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkClosed
@@ -24,26 +24,13 @@ T = TypeVar("T")
 MAX_LINE = 80  # characters (L13982)
 ADDRESS = "XUN"
 """The variable in which a unit of a chain keeps its address."""
-OTHERS = -1
-"""In `Line.waiting`: somebody who does not poll."""
 
 # Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), what programs print marked (CW), no echo.
 _SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
+_REVISION = "\x12\x16"
 _TRIES = 2
 _REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
-_PREDICTION_ROOM = 2  # characters by which a poll's reply may be longer than the last one
 _MARK = 0x80
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """A line that the controller's program has printed on request. sent_ns, received_ns: the host instants between
-    which its first value was read; heard_ns: when all of it had come."""
-
-    values: list[int]
-    sent_ns: int
-    received_ns: int
-    heard_ns: int
 
 
 class SerialSession(Session):
@@ -62,17 +49,25 @@ class SerialSession(Session):
         self._silence_ns = round(silence_s * NS_PER_S) + hold_ns
         self._hold_ns = hold_ns
         self._least_char_ns = link.char_ns * (1 - tolerance)
-        self._plain = bytearray()
-        self._marked = bytearray()
+        self._plain: bytearray = bytearray()
+        self._marked: bytearray = bytearray()
         self._settled = False
         self._known = False
-        self._length = 0
-        """Of the last status line, characters; 0: none yet."""
 
     # What others ask for
 
     async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
         await self.ask(command, 0, still)
+
+    def together(self) -> Turn:
+        """`async with`: exchanges with nobody else's between them."""
+        return Turn(self._line)
+
+    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
+        """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing."""
+        given = list(commands)
+        if given:
+            await self._told("\r".join(given), still)
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         found, answer = await self._told(command, still)
@@ -85,6 +80,24 @@ class SerialSession(Session):
         """A command whose reply has any number of data lines. characters: what it may take before anything comes."""
         return (await self._told(command, None, characters))[0]
 
+    async def revision(self) -> str:
+        """Control R control V (L13320). It ends without CR: what other units of a chain have made of it is cleared
+        before anybody else's turn."""
+        line = self._line
+        async with Turn(line):
+            try:
+                await self._turn_to_unit()
+                reply, _ = await self._exchange(_REVISION, self._reply)
+                self._settled = False
+                await self._turn_to_unit()
+            except LinkClosed:
+                line.lost(self._link)
+                raise
+            except BaseException:
+                line.out_of_step()
+                raise
+        return " ".join(reply.lines)
+
     async def numbers(self, *operands: str) -> tuple[list[float], Answer]:
         """The values of operands, read in one command, in the whole numbers that VF gives (L4936)."""
         shown = (f"{operand}{{F2.4}}" if operand[:3] in ("_IT", "_MT") else operand for operand in operands)
@@ -95,27 +108,10 @@ class SerialSession(Session):
     def shout(self, *commands: str) -> None:
         self._line.shout(self._link, self._unit, commands)
 
-    async def status(self, command: str, count: int) -> Status:
-        """Let a program print its `count` values. Raises `Refused` when there is no such program."""
-        line = self._line
-        for last in (False, True):
-            async with _Turn(line, self._unit):
-                stops = line.stops
-                try:
-                    return await self._poll(command, count)
-                except DriverFault:
-                    line.out_of_step()
-                    if last or line.stops == stops:
-                        raise
-                except LinkClosed:
-                    line.lost(self._link)
-                    raise
-        raise AssertionError  # pragma: no cover
-
     async def download(self, lines: tuple[str, ...]) -> None:
         """Replace the program (DL, L8203), line by line, so that a stop never waits behind more than one."""
         line = self._line
-        async with _Turn(line, OTHERS):
+        async with Turn(line):
             await self._turn_to_unit()
             try:
                 line.in_step, self._settled, line.loading = False, False, True
@@ -145,7 +141,7 @@ class SerialSession(Session):
         motion."""
         line = self._line
         for last in (False, True):
-            async with _Turn(line, OTHERS):
+            async with Turn(line):
                 try:
                     await self._turn_to_unit()
                     stops = line.stops
@@ -174,17 +170,28 @@ class SerialSession(Session):
         raise AssertionError
 
     async def _asked(self, command: str, characters: int) -> tuple[list[str], Answer]:
-        parsed, sent_ns = await self._exchange(command, self._reply, room=characters)
-        lines, refused = parsed
-        characters = sum(len(each) + 2 for each in lines) + 1
-        answer = Answer(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(characters))
+        """One command, or several settings parted by CR; of which the first refused one is told."""
+        left, refused = deque(command.split("\r")), list[str]()
+
+        def whole() -> list[str] | None:
+            while (reply := self._reply()) is not None:
+                asked = left.popleft()
+                if reply.refused:
+                    refused.append(asked)
+                if not left:
+                    return reply.lines
+            return None
+
+        lines, sent_ns = await self._exchange(command, whole, room=characters)
+        answered = sum(len(each) + 2 for each in lines) + 1
+        answer = Answer(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(answered))
         if refused:
-            raise await self._why(command)
+            raise await self._why(refused[0])
         return lines, answer
 
     async def _why(self, command: str) -> Refused:
-        (lines, refused), _ = await self._exchange("TC1", self._reply)
-        words = lines[-1] if lines and not refused else ""
+        reply, _ = await self._exchange("TC1", self._reply)
+        words = reply.lines[-1] if reply.lines and not reply.refused else ""
         number, _, _ = words.partition(" ")
         if not number.isdigit():
             raise self._garbage("TC1", "an error code with its text", repr(words))
@@ -250,8 +257,7 @@ class SerialSession(Session):
 
         room: characters that the reply may take before anything comes.
         """
-        self._plain.clear()
-        self._marked.clear()
+        self._begin_with()
         data = (opening + command + ("\r" if command[:1] >= " " else "")).encode("latin-1")
         sent_ns = self._link.write(data)
         quiet_ns = sent_ns + (len(data) + room) * self._link.char_ns
@@ -274,8 +280,13 @@ class SerialSession(Session):
             self._plain += received.data
             self._at_ns = received.at_ns
 
-    def _reply(self) -> tuple[list[str], bool] | None:
-        """The whole reply to a command: its lines, and whether it was refused."""
+    def _begin_with(self, plain: bytes = b"", marked: bytes = b"") -> None:
+        """Forget what has come before; these bytes are already there."""
+        self._plain = bytearray(plain)
+        self._marked = bytearray(marked)
+
+    def _reply(self) -> Heard | None:
+        """The whole reply to a command."""
         self._sift()
         parsed = parse(self._plain)
         if parsed is None:
@@ -287,66 +298,13 @@ class SerialSession(Session):
         for line in parsed.lines:
             if not (line.isascii() and line.isprintable()):
                 raise self._garbage("a command", "text", repr(line[:40]))
-        return parsed.lines, parsed.refused
+        return parsed
 
     def _sift(self) -> None:
         """Part what programs have printed from replies."""
         if any(byte & _MARK for byte in self._plain):
             self._marked += bytes(byte & ~_MARK for byte in self._plain if byte & _MARK)
             self._plain[:] = bytes(byte for byte in self._plain if not byte & _MARK)
-
-    # Polls
-
-    async def _poll(self, command: str, count: int) -> Status:
-        line, unit = self._line, self._unit
-        ahead, line.ahead = line.ahead, None
-        prefix = ""
-        if ahead is not None and ahead.unit == unit:
-            sent_ns = ahead.sent_ns
-            line.selected = unit
-        else:
-            if ahead is not None:
-                line.out_of_step()
-            if not (line.in_step and self._settled):
-                await self._turn_to_unit()
-            if line.selected != unit:
-                prefix = address(unit)
-            self._plain.clear()
-            self._marked.clear()
-            sent_ns = self._write_poll(prefix + command)
-            line.selected = unit
-        line.in_step = False
-        stops = line.stops
-        written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
-        text = await self._read_ahead(command, written_ns)
-        if line.stops != stops:
-            line.out_of_step()
-        else:
-            line.in_step = True
-        values = [int(value) for value in parse_numbers(text, count, command)]
-        self._length = len(text) + 2
-        emitted_ns = self._emitted_ns(self._length)
-        return Status(values, self._begun_ns(sent_ns, len(command) + 1), emitted_ns, self._at_ns)
-
-    def _write_poll(self, text: str) -> int:
-        return self._link.write(f"{text}\r".encode("ascii"))
-
-    async def _read_ahead(self, command: str, written_ns: int) -> str:
-        return await self._read(command, lambda: self._printed(command), written_ns)
-
-    def _printed(self, command: str) -> str | None:
-        """The line that the program has printed. Raises `Refused` when the command was."""
-        self._sift()
-        end = self._marked.find(b"\r\n")
-        if b"?" in self._plain:
-            self._line.out_of_step()
-            self._settled = False
-            raise Refused(command, 0, "its program is not there any more")
-        if end < 0:
-            return None
-        text = self._marked[:end].decode("ascii")
-        del self._marked[: end + 2]
-        return text
 
     # Times
 
@@ -393,21 +351,3 @@ class SerialSession(Session):
         else:
             remedy += " A unit that is off takes all units behind it off the chain."
         return DriverFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
-
-
-class _Turn:
-    """`async with`: a turn on the line, with a place in `Line.waiting` until it has come."""
-
-    def __init__(self, line: Line, who: int | None) -> None:
-        self._line = line
-        self._who = who
-
-    async def __aenter__(self) -> None:
-        self._line.waiting.append(self._who)
-        try:
-            await self._line.turn.acquire()
-        finally:
-            self._line.waiting.remove(self._who)
-
-    async def __aexit__(self, *args: object) -> None:
-        self._line.turn.release()

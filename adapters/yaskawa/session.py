@@ -73,6 +73,11 @@ class Session:
         """A command without data in its reply. Raises `Refused`."""
         await self.ask(command, 0, still)
 
+    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
+        """Commands without data in their replies, none after a refused one. Raises `Refused`."""
+        for command in commands:
+            await self.tell(command, still)
+
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.
 

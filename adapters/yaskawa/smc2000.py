@@ -47,8 +47,8 @@ STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L1053
 # For the costs declared: characters of an exchange, out and in, as they are when arming.
 EXCHANGE_CHARACTERS = 36
 POLL_CHARACTERS = 24, 24  # of a poll's line, and more for each axis
-ARM_EXCHANGES = 21
-DISARM_EXCHANGES = 4
+ARM_EXCHANGES = 11
+DISARM_EXCHANGES = 8  # what must fit in before the start: promise, release, and taking it all back
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to note its start
 WAITS_FOR_MORE = ("DL", "QD", "IN")  # after these the controller takes no commands
@@ -201,8 +201,10 @@ class SMC2000Driver(Driver):
         if not isinstance(lowered, LoweredMoves):
             raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
         self._jogging.forget(move.axis for move in lowered.moves)
-        stages = await self._start.arm(lowered, t0_ns, mapping)
-        self._device.keep_quiet(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
+        # In one go, or the other units' polls would come between its parts.
+        async with self._device.together():
+            stages = await self._start.arm(lowered, t0_ns, mapping)
+        self._device.session.keep_quiet(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
         return stages
 
     def _poll_ns(self) -> int:
@@ -211,13 +213,15 @@ class SMC2000Driver(Driver):
         return characters * self._char_ns + self._options.decode_us * NS_PER_US * (len(self._motors) + 2)
 
     async def verify(self) -> None:
-        await self._start.verify()
+        async with self._device.together():
+            await self._start.verify()
 
     async def go(self) -> None:
-        await self._start.go()
+        async with self._device.together():
+            await self._start.go()
 
     async def disarm(self) -> None:
-        self._device.keep_quiet(0, 0)
+        self._device.session.keep_quiet(0, 0)
         await self._start.disarm()
 
     async def started(self) -> Mapping[str, Span]:
@@ -228,6 +232,9 @@ class SMC2000Driver(Driver):
 
     async def stop(self, abort: bool) -> None:
         self._device.stop(abort)
+
+    async def stop_first(self) -> bool:
+        return await self._device.stop_first()
 
     # Everything else
 

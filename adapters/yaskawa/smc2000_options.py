@@ -9,7 +9,7 @@ class Smc2000Options(Options):
     """Options of an SMC-2000. The manual gives "about 0.5 ms" for a command (L1000) and no more."""
 
     timeout_s: float = Field(
-        default=0.25, gt=0, le=60, description="Silence before a reply, or within it, that lasts longer is a fault, s."
+        default=0.12, gt=0, le=60, description="Silence before a reply, or within it, that lasts longer is a fault, s."
     )
     hold_us: Microseconds = Field(
         default=16_000, description="How long a USB serial adapter may keep bytes that it has received, µs."
@@ -21,8 +21,14 @@ class Smc2000Options(Options):
         default=0.005, ge=0, le=0.05, description="How far the baud rates of both sides may be off, relative."
     )
     watchdog_s: float = Field(
-        default=2.0,
+        default=1.5,
         ge=0.25,
         le=60,
         description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s.",
+    )
+    lead_s: float = Field(
+        default=10.0,
+        gt=0,
+        le=60,
+        description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
     )

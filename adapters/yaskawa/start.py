@@ -71,11 +71,8 @@ class Start:
         await self._load(lowered, phase, mapping.tick_ns)
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
-        await session.tell("XGO=0")
-        await session.tell("XARM=0")
-        await session.tell(f"XT0={ticks}")
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        await session.tell(f"HX{DOG_THREAD}")
+        await session.tell_all(("XGO=0", "XARM=0", f"XT0={ticks}", f"HX{DOG_THREAD}"))
         await self._feed(ticks)
         read_ns = self._clock.now_ns()
         contour = isinstance(lowered.load, Records)
@@ -93,8 +90,7 @@ class Start:
     async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float) -> None:
         session, load = self._device.session, lowered.load
         if not isinstance(load, Records):
-            for command in load.commands:
-                await session.tell(command)
+            await session.tell_all(load.commands)
             return
         await arrays.load(session, load.arrays(phase, tick_ns))
         await session.tell(f"DC {fields(load.brakes)}")

@@ -14,7 +14,7 @@ from orchestrator.bus.base import Priority, Sample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.virtual import VirtualFleet
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Fleet, by_line
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Estop
 from orchestrator.model.report import ENDED, JobReport, Progress, StepReport
@@ -50,6 +50,9 @@ FAULTS = (
     "coordinator-hung",
     "bus-cut",
 )
+
+# What nobody can notice before the member is told to go, or before it moves: the others start with it and are stopped.
+LATENT = frozenset({"limit", "link-cut", "garbage", "silence"})
 
 # The longest that anything goes on after a fault, before its ramp: a silent adapter is noticed after 0.7 s (a hung
 # one's guardian is quicker), then the others are told.
@@ -165,7 +168,12 @@ class _Run:
         }
         fault = self.story.fault
         if fault in ("link-cut", "garbage", "silence"):
-            self.deaf.add(member)
+            # One wire and one simulator may carry several controllers.
+            self.deaf |= set(self._line_of(member))
+        if fault == "power-off":
+            # A unit that is off takes those behind it off the line: nobody but they themselves can stop them.
+            line = self._line_of(member)
+            self.deaf |= set(line[line.index(member) + 1 :])
         if fault == "none":
             return
         if fault in acts:
@@ -187,6 +195,10 @@ class _Run:
             fleet.net.partition({fleet.process(host).name}, {fleet.process("coordinator/first").name})
         else:
             raise ValueError(f"unknown fault {fault!r}; known: {', '.join(FAULTS)}")
+
+    def _line_of(self, member: str) -> list[str]:
+        """The controllers on the line of `member`, the host's first."""
+        return next(names for names in by_line(self.fleet.fleet) if member in names)
 
     def _garble(self, data: bytes) -> bytes:
         return bytes(self.draw.randrange(256) for _ in data)
@@ -235,7 +247,8 @@ class _Run:
             violate(f"invariant 3: {name}.{motion.axis} never ended its motion")
         ramp_ns = round(axis.limits.velocity / axis.limits.acceleration * NS_PER_S)
         if broken_ns is not None and end_ns is not None and name not in self.deaf:
-            longest_ns = broken_ns + DETECTION_NS + ramp_ns
+            since_ns = max(broken_ns, motion.start_ns) if self.story.fault in LATENT else broken_ns
+            longest_ns = since_ns + DETECTION_NS + ramp_ns
             # Without a failure that the fleet can notice (a fault that came too late) the move may simply end.
             if end_ns > longest_ns and self.story.state != "done":
                 violate(

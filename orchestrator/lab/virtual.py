@@ -4,14 +4,14 @@ Each part is a process of its own (`Process`), so that it can be frozen and kill
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from random import Random
 from typing import Any
 
 from adapters.firing import LoopFirer
-from adapters.host import AdapterHost, Surroundings, find_make
+from adapters.host import AdapterHost, Surroundings, stops_by_line
 from adapters.store import MemoryStore
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory import MemoryBus, MemoryNet
@@ -24,9 +24,9 @@ from orchestrator.coordinator.journal import Journal, inline
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import LAN, MemoryLink, MemoryWire, serial_wire
-from orchestrator.model.fleet import Controller, Fleet, SerialLink
+from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
 from orchestrator.model.state import ControllerState
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import Branch, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 
@@ -65,8 +65,8 @@ class VirtualFleet:
         self._draw = Random(seed)
         self._stores: dict[str, MemoryStore] = {}
         self._starts = 0
-        for name, config in fleet.controllers.items():
-            self._simulate(name, config)
+        for names in by_line(fleet):
+            self._simulate(names)
 
     # The fleet's life
 
@@ -105,24 +105,32 @@ class VirtualFleet:
 
     # Simulated controllers
 
-    def _simulate(self, name: str, config: Controller) -> None:
-        process = self.simulators[name] = Process(self.clock.loop, f"sim/{name}")
-        simulate, seed = config.simulate, self._draw.getrandbits(32)
-        oscillator = Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed)
-        timing = Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US)
-        model = simulator(config.adapter)
-        controller = process.run(
-            lambda: model.build(self.clock, simulate.options, oscillator=oscillator, timing=timing, seed=seed)
-        )
-        self.controllers[name] = controller
-        hold_ns = round(simulate.hold_ms * NS_PER_MS)
-        self.wires[name] = MemoryWire(
+    def _simulate(self, names: Sequence[str]) -> None:
+        """The controllers of one line: one process, one wire."""
+        config = self.fleet.controllers[names[0]]
+        process = Process(self.clock.loop, f"sim/{'+'.join(names)}")
+        units = {name: self._branch(self.fleet.controllers[name]) for name in names}
+        line = process.run(lambda: build_line(simulator(config.adapter), self.clock, units))
+        link, hold_ns = config.link, round(config.simulate.hold_ms * NS_PER_MS)
+        wire = MemoryWire(
             clock=self.clock,
-            model=serial_wire(config.link.baud, hold_ns=hold_ns) if isinstance(config.link, SerialLink) else LAN,
-            far=controller,
-            port=config.link.kind if config.link.kind in controller.ports else controller.ports[0],
-            place=config.link.place,
+            model=serial_wire(link.baud, hold_ns=hold_ns) if isinstance(link, SerialLink) else LAN,
+            far=line.far,
+            port=link.kind if link.kind in line.far.ports else line.far.ports[0],
+            place=link.place,
             far_context=process.run(copy_context),
+            seed=units[names[0]].seed,
+        )
+        for name in names:
+            self.simulators[name], self.controllers[name], self.wires[name] = process, line.units[name], wire
+
+    def _branch(self, config: Controller) -> Branch:
+        simulate, seed = config.simulate, self._draw.getrandbits(32)
+        return Branch(
+            address=config.link.unit if isinstance(config.link, SerialLink) else None,
+            options=simulate.options,
+            oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
+            timing=Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
             seed=seed,
         )
 
@@ -183,18 +191,18 @@ class VirtualFleet:
             return
         host.process.kill()
         await sleep_ns(self.clock, NS_PER_MS)
-        mine = [name for name, config in self.fleet.controllers.items() if config.host == host.name]
-        await asyncio.gather(*(self._stop_by_hand(name) for name in mine))
+        mine = {name: config for name, config in self.fleet.controllers.items() if config.host == host.name}
+        await asyncio.gather(*(self._stop_by_hand(names[0], stop) for names, stop in stops_by_line(mine)))
         await sleep_ns(self.clock, RESTART_NS)
         self.start_host(host.name)
 
-    async def _stop_by_hand(self, name: str) -> None:
-        config = self.fleet.controllers[name]
+    async def _stop_by_hand(self, name: str, stop: bytes) -> None:
+        """Stop everything that is on the line of a controller."""
         try:
             link = await self.wires[name].open()
         except LinkRefused:
             return
-        link.write(find_make(config.adapter).stop_bytes(config))
+        link.write(stop)
         await sleep_ns(self.clock, 50 * NS_PER_MS)
         await link.close()
 

@@ -306,6 +306,11 @@ class Controller(Model):
         return self
 
     @property
+    def shares(self) -> bool:
+        """Whether its port may carry other controllers, too."""
+        return isinstance(self.link, SerialLink) and self.link.unit is not None
+
+    @property
     def reached_by(self) -> TcpLink | UdpLink | SerialLink:
         """The link to open: that of the controller, or of the simulator that stands in for it."""
         return self.simulate.link or self.link
@@ -347,15 +352,18 @@ class Fleet(Model):
 
     @field_validator("controllers")
     @classmethod
-    def _one_controller_a_link(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
-        places: dict[str, str] = {}
+    def _links_are_shared_by_address(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
+        lines: dict[str, list[str]] = {}
         for name, controller in controllers.items():
-            place = controller.link.place
-            if place in places:
-                raise ValueError(
-                    f"{places[place]} and {name} are both on {place}; a port can carry one controller of this kind"
-                )
-            places[place] = name
+            lines.setdefault(controller.link.place, []).append(name)
+        for place, names in lines.items():
+            for name in names[1:]:
+                _require_shareable(place, names[0], controllers[names[0]], name, controllers[name])
+            units = [_unit(controllers[name]) for name in names]
+            for number, unit in enumerate(units):
+                if unit in units[:number]:
+                    first = names[units.index(unit)]
+                    raise ValueError(f"{first} and {names[number]} are both unit {unit} of {place}; give each its own")
         return controllers
 
     @model_validator(mode="after")
@@ -428,6 +436,37 @@ class Fleet(Model):
             return [f"{name}.{axis}" for axis in self.controllers[name].axes]
         self.axis(name)
         return [name]
+
+
+def _unit(controller: Controller) -> int | None:
+    """Its address on its port."""
+    return controller.link.unit if isinstance(controller.link, SerialLink) else None
+
+
+def _require_shareable(place: str, first: str, one: Controller, second: str, other: Controller) -> None:
+    """Raises `ValueError` unless the two can be reached by one port."""
+    both = f"{first} and {second} are both on {place}"
+    for name, controller in ((first, one), (second, other)):
+        if _unit(controller) is None:
+            raise ValueError(
+                f"{both}; a port can carry several controllers only if each has an address there, and {name} has none "
+                "(link.unit)"
+            )
+    for field in ("adapter", "host"):
+        found = getattr(one, field), getattr(other, field)
+        if found[0] != found[1]:
+            raise ValueError(f"{both}, but have different `{field}`: {found[0]} and {found[1]}")
+    alike = one.link.model_copy(update={"unit": None}), other.link.model_copy(update={"unit": None})
+    if alike[0] != alike[1]:
+        raise ValueError(f"{both}, but have different settings: {alike[0].to_plain()} and {alike[1].to_plain()}")
+
+
+def by_line(fleet: Fleet) -> list[list[str]]:
+    """The names of controllers that are on one line, for each line."""
+    lines: dict[str, list[str]] = {}
+    for name, controller in fleet.controllers.items():
+        lines.setdefault(controller.link.place, []).append(name)
+    return list(lines.values())
 
 
 def by_controller(axes: Iterable[str]) -> dict[str, list[str]]:

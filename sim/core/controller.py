@@ -8,7 +8,7 @@ latencies, are not its business. It is written from the manual alone.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from orchestrator.clock.base import Clock
 from sim.core.oscillator import Oscillator
@@ -155,6 +155,61 @@ class Simulator(Protocol):
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> "VectorBench":
         """The same, ideal in time, with the handles that test vectors need."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """One unit to be built, with the fields of `Simulator.build`. address: on the line that it shares, None when it has
+    one for itself."""
+
+    address: int | None
+    options: Mapping[str, object]
+    oscillator: Oscillator
+    timing: Timing
+    seed: int
+
+
+class Port(Protocol):
+    """Where a wire ends: a controller, or a line that several share."""
+
+    @property
+    def ports(self) -> tuple[str, ...]: ...
+
+    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
+        """Raises `PortRefused`."""
+        ...
+
+
+@runtime_checkable
+class SharingSimulator(Protocol):
+    """A `Simulator` of a model whose units can share a line, addressed one by one."""
+
+    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Port, Sequence[SimulatedController]]:
+        """The line's end, and the powered-up units on it, in their order from the host. `ValueError` names a wrong
+        option, and the allowed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedLine:
+    """What is at the far end of a wire. units: by name."""
+
+    far: Port
+    units: Mapping[str, SimulatedController]
+
+
+def build_line(model: Simulator, clock: Clock, units: Mapping[str, Branch]) -> SimulatedLine:
+    """The units of one line, by their names. `ValueError` names a wrong option, or a model that can not share."""
+    branches = list(units.values())
+    if any(branch.address is not None for branch in branches):
+        if not isinstance(model, SharingSimulator):
+            raise ValueError(f"units of the model {model.model} can not share a line")
+        far, built = model.build_shared(clock, branches)
+        return SimulatedLine(far, dict(zip(units, built, strict=True)))
+    (name,) = units
+    (one,) = branches
+    alone = model.build(clock, one.options, oscillator=one.oscillator, timing=one.timing, seed=one.seed)
+    return SimulatedLine(alone, {name: alone})
 
 
 class VectorBench(Protocol):

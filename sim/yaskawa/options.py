@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 MAIN_BAUD = 19200
 """Of port 1 of the SMC-2000 as shipped (L910)."""
+HOP_NS = 520_833
+"""D10: store and forward of a unit of a chain; one character at that rate."""
 _BYTE = 8
 _ABSENT_OUTPUTS = frozenset((24, 32, 40, 48, 56, 64))
 
@@ -229,7 +231,7 @@ class ChainOptions(BaseModel):
     chain: list[Unit] = Field(min_length=1, max_length=8)
     echo: bool = True
     """Power-up state of `EO` of all units."""
-    hop_ns: int = Field(default=520_833, ge=0)
+    hop_ns: int = Field(default=HOP_NS, ge=0)
     """D10: store and forward of each unit; one character at 19200 baud."""
     shared_clock: bool = False
     """The first unit's sample clock is wired to the others (L975)."""

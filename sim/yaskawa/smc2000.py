@@ -1,9 +1,9 @@
 """The SMC-2000: one to eight axes, two serial ports, daisy chain (L5-L63, L829-L995)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import SimulatedController, Timing, VectorBench
+from sim.core.controller import Branch, SimulatedController, Timing, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import (
     errors,
@@ -22,7 +22,7 @@ from sim.yaskawa.expressions import FUNCTIONS
 from sim.yaskawa.formats import Format
 from sim.yaskawa.machine import Machine
 from sim.yaskawa.model import Burning, Figures, Model
-from sim.yaskawa.options import ChainOptions, Smc2000Options
+from sim.yaskawa.options import HOP_NS, ChainOptions, Smc2000Options
 from sim.yaskawa.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
 from sim.yaskawa.serial_ports import CommandPort, GeneralPort
 from sim.yaskawa.smc2000_parameters import SMC2000 as PARAMETERS
@@ -156,6 +156,20 @@ class Smc2000Simulator:
         if "chain" in options:
             return ChainBench(self.chain(clock, {"hop_ns": 0} | dict(options)))
         return Bench(self.alone(clock, options))
+
+    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Chain, Sequence[Controller]]:
+        """A daisy chain, its units in their order from the host; port 2 of each is set up for it."""
+        built = [
+            self.alone(
+                clock,
+                dict(unit.options) | {"address": unit.address, "chained": True},
+                unit.oscillator,
+                unit.timing,
+                unit.seed,
+            )
+            for unit in units
+        ]
+        return Chain(clock, built, HOP_NS), built
 
     @staticmethod
     def alone(

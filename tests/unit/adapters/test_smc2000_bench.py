@@ -17,11 +17,11 @@ from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.profile import Profile
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import Branch, SimulatedController, Timing
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC2000
 
-__all__ = ["FLEET", "World", "run", "trapezoid"]
+__all__ = ["FLEET", "ChainWorld", "World", "run", "run_chain", "trapezoid"]
 
 LIMITS = {"velocity": 100.0, "acceleration": 1000.0}
 FLEET: dict[str, Any] = {
@@ -107,5 +107,66 @@ def run(
             return MAKE.driver(Setup("c", config, chosen, clock, wire.open, LoopFirer(clock)))
 
         return await main(World(clock, controller, wire, driver(), driver))
+
+    return run_virtual(within)
+
+
+@dataclass
+class ChainWorld:
+    """Units on one daisy chain, by address, each with a driver."""
+
+    clock: Clock
+    units: dict[int, SimulatedController]
+    drivers: dict[int, Driver]
+    wire: MemoryWire
+
+    async def ready(self, polls: int = 20) -> None:
+        async def one(driver: Driver) -> None:
+            await driver.connect()
+            await driver.configure()
+            await driver.enable(["x"], True)
+            for _ in range(polls):
+                await driver.poll()
+                await sleep_ns(self.clock, 100 * NS_PER_MS)
+
+        await asyncio.gather(*(one(driver) for driver in self.drivers.values()))
+
+
+def run_chain(
+    main: Callable[[ChainWorld], Coroutine[Any, Any, Any]],
+    *,
+    seed: int = 1,
+    addresses: tuple[int, ...] = (0, 1, 2),
+    hold_ms: int = 0,
+    options: dict[str, Any] | None = None,
+) -> Any:
+    """Each unit has one axis x and an input, a crystal of its own, and another start of its counter."""
+
+    async def within(clock: Clock) -> Any:
+        draw = Random(seed)
+        branches = [
+            Branch(
+                address,
+                {"axes": 2, **(options or {})},
+                Oscillator(draw.randrange(10**11), draw.uniform(-90, 90), 0.05, seed + address),
+                TIMING,
+                seed + address,
+            )
+            for address in addresses
+        ]
+        chain, built = SMC2000.build_shared(clock, branches)
+        model = serial_wire(19200, hold_ns=hold_ms * NS_PER_MS)
+        wire = MemoryWire(clock, model, chain, "serial", "serial /dev/ttyS0", copy_context(), seed)
+        shared: dict[str, Any] = {}
+
+        def driver(address: int) -> Driver:
+            fleet = FLEET | {"link": FLEET["link"] | {"unit": address}, "axes": {"x": FLEET["axes"]["x"]}}
+            config = Controller.model_validate(fleet)
+            MAKE.check(config)
+            chosen = MAKE.options.model_validate(config.options)
+            return MAKE.driver(Setup(f"c{address}", config, chosen, clock, wire.open, LoopFirer(clock), shared))
+
+        units = dict(zip(addresses, built, strict=True))
+        return await main(ChainWorld(clock, units, {each: driver(each) for each in addresses}, wire))
 
     return run_virtual(within)

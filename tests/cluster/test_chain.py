@@ -1,0 +1,141 @@
+"""Three SMC-2000 on one daisy chain and an SMC-4000: one fleet, judged by the simulators' truth."""
+
+import asyncio
+from typing import Any
+
+import pytest
+from cluster.worlds import EXAMPLES, job, outcome
+from cluster.worlds import run_fleet as run_any
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.files import load_fleet
+from orchestrator.model.fleet import Fleet
+
+UNITS = ("feeder", "turner", "outlet")
+PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")
+MOVE = job(
+    "[{do: move, to: {feeder.x: 60, turner.x: 90, turner.y: 20, outlet.x: 120, gantry.x: 150}, speed: 0.5}]",
+    max_start_skew="25 ms",
+)
+
+
+def chain_fleet() -> Fleet:
+    return load_fleet(EXAMPLES / "chain.fleet.yaml")
+
+
+def run_fleet(main: Any, fleet: Fleet | None = None) -> None:
+    run_any(main, fleet or chain_fleet())
+
+
+def held(hold_ms: float) -> Fleet:
+    """The fleet with a serial adapter that keeps received bytes for so long."""
+    plain = chain_fleet().to_plain()
+    for name in UNITS:
+        plain["controllers"][name]["simulate"]["hold_ms"] = hold_ms
+    return Fleet.model_validate(plain)
+
+
+@pytest.mark.parametrize("hold_ms", [0, 16])
+def test_a_chain_and_another_make_move_together_with_a_verdict_that_holds_the_truth(hold_ms: int):
+    async def main(virtual: VirtualFleet) -> None:
+        prepared = await outcome(virtual, PREPARE)
+        assert prepared.state == "done", prepared.reason
+        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        report = await outcome(virtual, MOVE)
+        assert report.state == "done", report.reason
+        step = report.steps[0]
+        starts = [each.motions[before[name]].start_ns for name, each in virtual.controllers.items()]
+        skew_ns = max(starts) - min(starts)
+        assert step.start_skew is not None
+        assert step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+        for name, motors in {"feeder": "X", "turner": "XY", "outlet": "X", "gantry": "X"}.items():
+            moved = {motion.axis for motion in virtual.controllers[name].motions[before[name] :]}
+            assert moved == set(motors)
+
+    run_fleet(main, held(hold_ms))
+
+
+def test_one_unit_is_stopped_alone():
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        client = virtual.client()
+        units = virtual.controllers
+        async with client.by_hand(["feeder.x"]) as one, client.by_hand(["turner.x"]) as other:
+            await one.jog({"feeder.x": 20.0})
+            await asyncio.gather(other.jog({"turner.x": 20.0}), one.renew())
+            for _ in range(20):
+                await asyncio.sleep(0.05)
+                await one.renew()
+                await other.renew()
+            for name in ("feeder", "turner"):
+                assert units[name].velocity("X") == pytest.approx(20_000, rel=0.01)
+            let_go_ns = virtual.clock.now_ns()
+            await one.stop()
+            for _ in range(20):
+                await asyncio.sleep(0.05)
+                await other.renew()
+            assert not units["feeder"].moving("X")
+            assert units["turner"].velocity("X") == pytest.approx(20_000, rel=0.01)
+            end_ns = units["feeder"].motions[-1].end_ns
+            assert end_ns is not None and end_ns - let_go_ns < 150 * NS_PER_MS
+        assert all(not each.faults for each in (await client.status()).values())
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("fault", ["kill", "freeze"])
+def test_a_host_that_dies_in_motion_leaves_the_whole_chain_at_rest_in_the_declared_time(fault: str):
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        client = virtual.client()
+        longest_ns = max([(await client.info(name)).costs.stop_ns for name in UNITS])
+        await client.submit(MOVE)
+        await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await sleep_ns(virtual.clock, NS_PER_S // 2)
+        at_ns = virtual.clock.now_ns()
+        getattr(virtual, fault)("host/local")
+        await sleep_ns(virtual.clock, 5 * NS_PER_S)
+        for name in UNITS:
+            ends = [motion.end_ns for motion in virtual.controllers[name].motions]
+            assert None not in ends
+            # Its guardian's patience, and looking every 50 ms.
+            assert max(end for end in ends if end is not None) - at_ns < longest_ns + 400 * NS_PER_MS
+        await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+
+    run_fleet(main)
+
+
+def test_units_of_a_chain_come_and_go_alone():
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        virtual.within("outlet", lambda unit: unit.set_power(False))
+        states = await virtual.until(lambda states: states["outlet"].mode == "offline")
+        assert all(states[name].mode == "idle" for name in ("feeder", "turner", "gantry"))
+        await sleep_ns(virtual.clock, 20 * NS_PER_S)
+        report = await outcome(virtual, job("[{do: move, to: {feeder.x: 30, turner.x: 30}, sync: time}]"))
+        assert report.state == "done", report.reason
+        virtual.within("outlet", lambda unit: unit.set_power(True))
+        states = await virtual.until(lambda states: states["outlet"].mode == "idle" and bool(states["outlet"].epoch))
+        assert not states["outlet"].axes["x"].referenced
+        assert states["feeder"].axes["x"].referenced and states["turner"].axes["x"].referenced
+
+    run_fleet(main)
+
+
+def test_a_chain_whose_first_unit_is_off_is_offline_as_a_whole_and_says_so():
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        virtual.within("feeder", lambda unit: unit.set_power(False))
+        states = await virtual.until(lambda states: all(states[name].mode == "offline" for name in UNITS))
+        assert states["gantry"].mode == "idle"
+        await sleep_ns(virtual.clock, 10 * NS_PER_S)
+        states = await virtual.client().status()
+        assert all("first" in states[name].faults[0].text + states[name].faults[0].remedy for name in UNITS)
+        virtual.within("feeder", lambda unit: unit.set_power(True))
+        states = await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        # The others had power all the time.
+        assert not states["feeder"].axes["x"].referenced
+        assert states["turner"].axes["x"].referenced and states["outlet"].axes["x"].referenced
+
+    run_fleet(main)
