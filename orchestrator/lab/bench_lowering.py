@@ -18,7 +18,7 @@ from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
-from orchestrator.link.memory import LAN, MemoryWire, WireModel
+from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
@@ -76,15 +76,22 @@ class LoweringFigures(NamedTuple):
 class Subject:
     """What the benchmark must know of a make. config: a controller of four axes a, b, c, d with a scale of 1.
 
-    sample_ns: of its own clock. record_samples: of a lowered contour. way: of a lowered step, in a word.
+    sample_ns: of its own clock. record_samples: of a lowered contour; None: the make has none. way: of a lowered step,
+    in a word.
     """
 
     config: Mapping[str, Any]
     port: str
     wire: WireModel
     sample_ns: float
-    record_samples: Callable[[Lowered], int]
+    record_samples: Callable[[Lowered], int] | None
     way: Callable[[Lowered], str]
+
+
+def _yaskawa(adapter: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
+    axis = {"unit": "counts", "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}}
+    axes = {name: {**axis, "motors": [motor]} for name, motor in zip("abcd", "XYZW", strict=True)}
+    return {"adapter": adapter, "link": dict(link), "axes": axes}
 
 
 def _smc4000_records(lowered: Lowered) -> int:
@@ -94,24 +101,21 @@ def _smc4000_records(lowered: Lowered) -> int:
 
 SUBJECTS = {
     "smc4000": Subject(
-        config={
-            "adapter": "smc4000",
-            "link": {"kind": "tcp", "host": "10.0.0.1", "port": 23},
-            "axes": {
-                name: {
-                    "motors": [motor],
-                    "unit": "counts",
-                    "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK},
-                }
-                for name, motor in zip("abcd", "XYZW", strict=True)
-            },
-        },
+        config=_yaskawa("smc4000", {"kind": "tcp", "host": "10.0.0.1", "port": 23}),
         port="tcp",
         wire=LAN,
         sample_ns=976_562.5,
         record_samples=_smc4000_records,
         way=lambda lowered: "contour" if lowered.commands[0].startswith("contour") else "registers",
-    )
+    ),
+    "smc2000": Subject(
+        config=_yaskawa("smc2000", {"kind": "serial", "device": "/dev/ttyUSB0", "baud": 19200}),
+        port="serial",
+        wire=serial_wire(19200),
+        sample_ns=976_562.5,
+        record_samples=None,
+        way=lambda _: "registers",
+    ),
 }
 
 
@@ -122,26 +126,36 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
     between: list[float] = []
     beyond: list[float] = []
     each = max(1, moves // CONTOURS)
-    for number, ppm in enumerate(CRYSTALS_PPM):
+    for number, ppm in enumerate(CRYSTALS_PPM if subject.record_samples is not None else ()):
         for records, rest, sag in _contours(subject, ppm, each, seed + number):
             at_record += records
             between += rest
             beyond += [distance - sag for distance in rest]
-    figures = [
-        figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
-        figure("contour, between them", between, "counts"),
-        figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
-    ]
+    figures = (
+        []
+        if subject.record_samples is None
+        else [
+            figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
+            figure("contour, between them", between, "counts"),
+            figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
+        ]
+    )
     chosen: list[Chosen] = []
     for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
         found = _trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
+        # What is slower is shown beside it: how well that can be done depends on the make's steps of speed.
+        bound, keeps = ("p99<0.2", _keeps_duration) if cruise == FAST else ("", None)
         figures += [
-            figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", "p99<0.2", lambda f: f.p99 < ASKED_P99_MS),
+            figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
             figure(f"{cruise}, real-lowered", found.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0),
             figure(f"{cruise}, real-planned", found.planned_ms, "ms"),
         ]
         chosen.append(Chosen(cruise, found.ways))
     return LoweringFigures(make, moves, figures, chosen)
+
+
+def _keeps_duration(found: Figure) -> bool:
+    return found.p99 < ASKED_P99_MS
 
 
 def figure(
@@ -283,6 +297,7 @@ async def _follow(
     before = len(world.controller.motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
     begun = world.sample(world.clock.now_ns())
+    assert subject.record_samples is not None
     record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
     watching = asyncio.get_running_loop().create_task(_finish(world))
     seen: list[tuple[int, dict[str, float]]] = []
