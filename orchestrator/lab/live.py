@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TextIO
 
 from orchestrator.lab.throne import reigning
-from orchestrator.model.fleet import Controller, Fleet, SerialLink
+from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
 
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
@@ -104,9 +104,9 @@ class LiveFleet:
 
     def tell_simulator(self, controller: str, **change: object) -> None:
         """Change the physical world of a simulated controller, e.g. `input=(1, True)`; see `sim/link/world.py`."""
-        process = self.children[f"sim/{controller}"].process
-        assert process is not None and process.stdin is not None
-        process.stdin.write(json.dumps(change).encode() + b"\n")
+        pipe = os.open(world_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
+        with os.fdopen(pipe, "wb") as line:
+            line.write(json.dumps(change).encode() + b"\n")
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
@@ -135,15 +135,19 @@ class LiveFleet:
     async def _simulate(self) -> None:
         """Replace every link by that of a simulated controller."""
         controllers: dict[str, Controller] = {}
-        for name, config in self.fleet.controllers.items():
-            child = await self._start_child(f"sim/{name}", self._simulator_command(name, config))
+        for names in by_line(self.fleet):
+            child = await self._start_child(f"sim/{'+'.join(names)}", self._simulator_command(names))
             place = json.loads(child.ready)
-            found = {"device"} if isinstance(config.link, SerialLink) else {"host", "port"}
-            link = config.link.model_copy(update={name: place[name] for name in found})
-            simulate = config.simulate.model_copy(update={"link": link})
-            controllers[name] = config.model_copy(update={"simulate": simulate})
-            self.say(f"{name}: simulated {config.adapter} on {link.place}")
-        self.fleet = self.fleet.model_copy(update={"controllers": controllers})
+            for name in names:
+                config = self.fleet.controllers[name]
+                found = {"device"} if isinstance(config.link, SerialLink) else {"host", "port"}
+                link = config.link.model_copy(update={field: place[field] for field in found})
+                simulate = config.simulate.model_copy(update={"link": link})
+                controllers[name] = config.model_copy(update={"simulate": simulate})
+                self.say(f"{name}: simulated {config.adapter} on {link.place}")
+        self.fleet = self.fleet.model_copy(
+            update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
+        )
 
     async def _route(self) -> None:
         if self.connect:
@@ -169,27 +173,37 @@ class LiveFleet:
         self.connect = endpoint
         self.say(f"router on {endpoint}")
 
-    def _simulator_command(self, name: str, config: Controller) -> list[str]:
-        simulate = config.simulate
+    def _simulator_command(self, names: Sequence[str]) -> list[str]:
+        """One process for the controllers of one line."""
+        name, config = "+".join(names), self.fleet.controllers[names[0]]
         if isinstance(config.link, SerialLink):
             # What was listened on before is listened on again after a restart: the symlink is stable.
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
             listen += ["--frame", frame(config.link)]
         else:
             listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}"]
-        timing = {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000}
-        oscillator = {
-            "offset_ns": round(simulate.offset_s * 1e9),
-            "drift_ppm": simulate.drift_ppm,
-            "wander_ppm": simulate.wander_ppm,
-        }
         command = [sys.executable, "-m", "sim.link.process", "--model", config.adapter, "--name", name, *listen]
-        command += ["--options", json.dumps(simulate.options), "--timing", json.dumps(timing)]
-        command += ["--oscillator", json.dumps(oscillator)]
-        command += ["--world", str(world_pipe(self.state, name))]
-        if self.truth:
-            command += ["--truth", str(self.state / "truth" / f"{name}.jsonl")]
+        for each in names:
+            command += ["--unit", json.dumps(self._simulated_unit(each))]
         return command
+
+    def _simulated_unit(self, name: str) -> dict[str, object]:
+        """What `--unit` says of a controller."""
+        config = self.fleet.controllers[name]
+        simulate = config.simulate
+        return {
+            "name": name,
+            "address": config.link.unit if isinstance(config.link, SerialLink) else None,
+            "options": simulate.options,
+            "timing": {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000},
+            "oscillator": {
+                "offset_ns": round(simulate.offset_s * 1e9),
+                "drift_ppm": simulate.drift_ppm,
+                "wander_ppm": simulate.wander_ppm,
+            },
+            "world": str(world_pipe(self.state, name)),
+            "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
+        }
 
     def _host_command(self, host: str, file: Path) -> list[str]:
         command = [sys.executable, "-m", "adapters.guardian", "--fleet", str(file), "--host", host]

@@ -36,6 +36,21 @@ class OscillatorFields(BaseModel):
     seed: int = 0
 
 
+class UnitFields(BaseModel):
+    """`--unit`: one of several controllers that share the link. truth, world: as the arguments of these names."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    address: int | None = None
+    options: dict[str, Any] = Field(default_factory=dict[str, Any])
+    timing: TimingFields = TimingFields()
+    oscillator: OscillatorFields = OscillatorFields()
+    seed: int = 0
+    truth: Path | None = None
+    world: Path | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class TcpPlace:
     """Listen at a TCP port of this host; port 0: a free one."""
@@ -83,7 +98,20 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--truth", type=Path, help="append every motion to this file, one JSON object a line")
     parser.add_argument("--world", type=Path, help="a named pipe to make: its lines change the physical world too")
+    parser.add_argument(
+        "--unit",
+        action="append",
+        type=_fields(UnitFields),
+        default=[],
+        help="JSON object: one of several controllers on this link, in their order from the host",
+    )
     return parser.parse_args(arguments)
+
+
+def units(chosen: argparse.Namespace) -> list[UnitFields]:
+    """The controllers that are asked for: those of `--unit`, or the one of the other arguments."""
+    fields = ("name", "options", "timing", "oscillator", "seed", "truth", "world")
+    return chosen.unit or [UnitFields(**{field: getattr(chosen, field) for field in fields})]
 
 
 def _place(text: str) -> TcpPlace | UdpPlace | PtyPlace:

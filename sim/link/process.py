@@ -1,4 +1,5 @@
-"""The process of one simulated controller: `python -m sim.link.process --model smc4000 --name gantry --listen …`.
+"""The process of one simulated controller, or of several that share a link:
+`python -m sim.link.process --model smc4000 --name gantry --listen …`.
 
 When it can be reached it prints one JSON line with its place. It ends with SIGTERM, SIGINT, or when its standard
 input is closed, so that it never outlives the one who started it. Lines on standard input, and on the named pipe
@@ -19,10 +20,10 @@ from typing import TextIO
 from pydantic import ValidationError
 
 from orchestrator.clock.live import LiveClock
-from sim.core.controller import PortRefused, SimulatedController, Timing
+from sim.core.controller import Branch, Port, PortRefused, SimulatedController, SimulatedLine, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
-from sim.link.arguments import PtyPlace, UdpPlace, first_problem, parse_arguments
+from sim.link.arguments import PtyPlace, UdpPlace, UnitFields, first_problem, parse_arguments, units
 from sim.link.pty import PtyServer
 from sim.link.tcp import TcpServer, listen_tcp
 from sim.link.truth import TruthLog
@@ -54,18 +55,21 @@ async def _run(chosen: argparse.Namespace) -> None:
     clock = LiveClock()
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
-        controller = _build(chosen, clock)
-        server = await _serve(chosen, controller, clock)
+        asked = units(chosen)
+        line = _build(chosen.model, asked, clock)
+        server = await _serve(chosen, line.far, clock)
         cleanup.callback(server.close)
-        if chosen.truth is not None:
-            TruthLog(controller, clock, cleanup.enter_context(_opened(chosen.truth)))
-        if chosen.world is not None:
-            more = await _named_pipe(chosen.world)
-            listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, chosen.name))
-            cleanup.callback(listening.cancel)
+        for unit in asked:
+            controller = line.units[unit.name]
+            if unit.truth is not None:
+                TruthLog(controller, clock, cleanup.enter_context(_opened(unit.truth)))
+            if unit.world is not None:
+                more = await _named_pipe(unit.world)
+                listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, unit.name))
+                cleanup.callback(listening.cancel)
         sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
         sys.stdout.flush()
-        await _follow(lines, server, controller, chosen.name)
+        await _follow(lines, server, line.units[asked[0].name], asked[0].name)
 
 
 async def _standard_input() -> asyncio.StreamReader:
@@ -92,21 +96,26 @@ async def _named_pipe(path: Path) -> asyncio.StreamReader:
     return reader
 
 
-def _build(chosen: argparse.Namespace, clock: LiveClock) -> SimulatedController:
-    oscillator = Oscillator(**chosen.oscillator.model_dump())
-    timing = Timing(**chosen.timing.model_dump())
+def _build(model: str, asked: Sequence[UnitFields], clock: LiveClock) -> SimulatedLine:
+    branches = {
+        unit.name: Branch(
+            unit.address,
+            unit.options,
+            Oscillator(**unit.oscillator.model_dump()),
+            Timing(**unit.timing.model_dump()),
+            unit.seed,
+        )
+        for unit in asked
+    }
     try:
-        model = simulator(chosen.model)
-        return model.build(clock, chosen.options, oscillator=oscillator, timing=timing, seed=chosen.seed)
+        return build_line(simulator(model), clock, branches)
     except ValidationError as error:
         raise CannotStart(f"--options: {first_problem(error)}") from None
     except ValueError as error:
         raise CannotStart(str(error)) from None
 
 
-async def _serve(
-    chosen: argparse.Namespace, controller: SimulatedController, clock: LiveClock
-) -> TcpServer | UdpServer | PtyServer:
+async def _serve(chosen: argparse.Namespace, controller: Port, clock: LiveClock) -> TcpServer | UdpServer | PtyServer:
     place = chosen.listen
     try:
         if isinstance(place, PtyPlace):

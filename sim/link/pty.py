@@ -14,7 +14,7 @@ import tty
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from sim.core.controller import Connection, PortRefused, SimulatedController
+from sim.core.controller import Connection, Port, PortRefused
 from sim.link.pacing import PacedLine
 
 PORT = "serial"
@@ -32,7 +32,7 @@ class PtyServer:
     Raises `PortRefused` when the controller has no serial port, `OSError` when the link can not be made.
     """
 
-    def __init__(self, controller: SimulatedController, clock: Clock, link: Path, baud: int, bits: int) -> None:
+    def __init__(self, controller: Port, clock: Clock, link: Path, baud: int, bits: int) -> None:
         self._controller = controller
         self._link = link
         char_ns = bits * NS_PER_S // baud

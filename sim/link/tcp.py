@@ -5,7 +5,7 @@ import contextlib
 import socket
 import struct
 
-from sim.core.controller import Connection, PortRefused, SimulatedController
+from sim.core.controller import Connection, Port, PortRefused
 
 PORT = "tcp"
 
@@ -63,7 +63,7 @@ class _Handle(asyncio.Protocol):
 class TcpServer:
     """Serves `controller` on a TCP port. Made by `listen_tcp`."""
 
-    def __init__(self, controller: SimulatedController) -> None:
+    def __init__(self, controller: Port) -> None:
         self.controller = controller
         self.handles: set[_Handle] = set()
         self._server: asyncio.Server | None = None
@@ -91,7 +91,7 @@ class TcpServer:
             handle.hang_up()
 
 
-async def listen_tcp(controller: SimulatedController, host: str, port: int) -> TcpServer:
+async def listen_tcp(controller: Port, host: str, port: int) -> TcpServer:
     """Serve `controller` at `host` and `port`. Raises `PortRefused` when it has no such port, `OSError`."""
     if PORT not in controller.ports:
         raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.ports)}")

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from sim.core.controller import Connection, PortRefused, SimulatedController
+from sim.core.controller import Connection, Port, PortRefused
 
 PORT = "udp"
 Address = tuple[str, int]
@@ -11,7 +11,7 @@ Address = tuple[str, int]
 class UdpServer(asyncio.DatagramProtocol):
     """Serves `controller` on a UDP port. Made by `listen_udp`."""
 
-    def __init__(self, controller: SimulatedController) -> None:
+    def __init__(self, controller: Port) -> None:
         self._controller = controller
         self._transport: asyncio.DatagramTransport | None = None
         self._handles: dict[Address, Connection] = {}
@@ -53,7 +53,7 @@ class UdpServer(asyncio.DatagramProtocol):
         self._handles.pop(address, None)
 
 
-async def listen_udp(controller: SimulatedController, host: str, port: int) -> UdpServer:
+async def listen_udp(controller: Port, host: str, port: int) -> UdpServer:
     """Serve `controller` at `host` and `port`. Raises `PortRefused` when it has no such port, `OSError`."""
     if PORT not in controller.ports:
         raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.ports)}")
