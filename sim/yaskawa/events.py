@@ -15,10 +15,16 @@ class Events:
     def __init__(self, machine: "Machine") -> None:
         self.machine = machine
         self.limit_met = False
+        self.error_met = False
+        """An amplifier has gone off because of its error, which is told although the servo is off by now."""
 
     def met_limit(self) -> None:
         """A moving axis has met a limit."""
         self.limit_met = self.machine.interpreter.threads[0].running
+
+    def met_error(self) -> None:
+        """Off-on-error has acted (L8029)."""
+        self.error_met = self.machine.interpreter.threads[0].running
 
     def poll(self) -> None:
         """Between two lines, and in every event: start a routine whose condition holds."""
@@ -32,8 +38,9 @@ class Events:
                 machine.interpreter.raise_event("LIMSWI")
             elif machine.interpreter.raise_event("LIMSWI"):
                 self.limit_met = False
-        if "POSERR" in labels and self._error_stands(now):
-            machine.interpreter.raise_event("POSERR")
+        wanted = "POSERR" in labels and (self.error_met or self._error_stands(now))
+        if wanted and machine.interpreter.raise_event("POSERR"):
+            self.error_met = False
 
     def _limit_stands(self, now: int) -> bool:
         motion = self.machine.motion

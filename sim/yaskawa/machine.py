@@ -67,7 +67,14 @@ class Machine:
 
     def _new_motion(self) -> MotionControl:
         figures = self.model.figures
-        return MotionControl(self.timebase, self.world, self.letters, figures, lambda: self.events.met_limit())
+        return MotionControl(
+            self.timebase,
+            self.world,
+            self.letters,
+            figures,
+            on_limit=lambda: self.events.met_limit(),
+            on_error=lambda: self.events.met_error(),
+        )
 
     def _delay_ns(self, program: bool) -> int:
         spread_ns = self.timing.spread_ns

@@ -14,6 +14,8 @@ from sim.yaskawa.statements import Command
 
 SYSTEM_OPS = frozenset(("VA", "VD", "VS", "VR", "VT", "AV"))
 HANDLE_OPS = frozenset(("IH", "SA", "MB", "HS"))
+AXIS_OPS = frozenset("AD AE AP AR CD DE DP EG EQ GA GM IP LI MF MR".split())  # noqa: SIM905
+"""Beside the parameters, what takes `XXa=value`; another op-code before a letter begins a name (L16820)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,5 +139,7 @@ class Model:
         """Letters that may follow `op` in `XXa=value` (axes in their X Y Z W names)."""
         if op in HANDLE_OPS:
             return "XYZWABCDEFGHST"
+        if op not in self.parameters and op not in AXIS_OPS and op not in SYSTEM_OPS:
+            return ""
         axes = self.letters + "N" if self.figures.virtual_axis else self.letters
         return axes + self.figures.systems if op in SYSTEM_OPS else axes

@@ -28,12 +28,19 @@ class MotionControl:
     """Axes, coordinate systems, contour and cam. Instants are samples; `now` is the sample that runs."""
 
     def __init__(
-        self, timebase: Timebase, world: World, letters: str, figures: Figures, on_limit: Callable[[], None]
+        self,
+        timebase: Timebase,
+        world: World,
+        letters: str,
+        figures: Figures,
+        on_limit: Callable[[], None],
+        on_error: Callable[[], None],
     ) -> None:
         self.timebase = timebase
         self.figures = figures
         self.world = world
         self.on_limit = on_limit
+        self.on_error = on_error
         self.axes: dict[str, Axis] = {name: Axis(name, index, figures.lag) for index, name in enumerate(letters)}
         self.real = tuple(self.axes.values())
         if figures.virtual_axis:
@@ -383,6 +390,7 @@ class MotionControl:
         self.freeze(now, ERROR_CODE, (axis,))
         axis.stop_code = ERROR_CODE
         axis.off_on_error = True
+        self.on_error()
         self.motor_off(axis, now)
 
     def motor_off(self, axis: Axis, now: int) -> None:
