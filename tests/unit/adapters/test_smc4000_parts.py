@@ -91,7 +91,7 @@ def test_the_program_keeps_the_controllers_rules():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"link": {"kind": "serial", "device": "/dev/ttyUSB0"}}, "link.kind"),
+        ({"link": {"kind": "serial", "device": "/dev/ttyUSB0"}}, "link.baud"),
         ({"axes": {"x": {"motors": ["Q"], "unit": "mm", "limits": LIMITS}}}, "no motor 'Q'"),
         (
             {
