@@ -1,4 +1,4 @@
-"""Inputs and outputs, Ethernet, messages' ports, memory and locks (L3239-L3582, L5635-L5946, L6735, L7277)."""
+"""Inputs and outputs, messages' ports, memory and locks (L3239-L3582, L6735-L6799, L7734-L8154)."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,6 @@ from sim.yaskawa.commands_status import report
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import compile_expression, integer
-from sim.yaskawa.ports import address_text
 from sim.yaskawa.registry import Outcome, Runner, bare, command
 from sim.yaskawa.trippoints import at_sample
 
@@ -79,7 +78,8 @@ def _analog_output(text: str) -> Runner:
             raise CommandError(50)
         if abs(given[1]) > fixed.of(9.9982):
             raise CommandError(6)
-        raise CommandError(126)
+        c.machine.io.set_analog(fixed.truncated(given[0]), given[1] / fixed.ONE)
+        return None
 
     return run
 
@@ -164,192 +164,6 @@ def _modbus_wait(text: str) -> Runner:
         return None
 
     return run
-
-
-# Ethernet
-
-
-@command("IA")
-def _address(text: str) -> Runner:
-    if text == "?":
-        return lambda c: address_text(c.machine.address)
-    head, retry_given, retry_text = text.partition("<")
-    retry = integer(retry_text) if retry_given else None
-    unsigned = int(head) if head.isdecimal() and int(head) < 1 << 32 else None
-    fields = values(parse_fields(head)) if head and unsigned is None else None
-
-    def run(c: Context) -> Outcome:
-        machine = c.machine
-        if c.port is not None and c.port.kind != "serial":
-            raise CommandError(1)
-        if machine.motion.active():
-            raise CommandError(7)
-        if unsigned is not None:
-            machine.address = fixed.wrapped(unsigned)
-        if fields is not None:
-            machine.address = _parse_address([raw for raw in fields(c) if raw is not None])
-        if retry is not None:
-            time = retry(c)
-            if not 0 <= time <= 2147483647:
-                raise CommandError(6)
-            machine.retry_time = time
-        return None
-
-    return run
-
-
-def _parse_address(given: list[int]) -> int:
-    numbers = [fixed.truncated(raw) for raw in given]
-    if len(numbers) == 1:
-        return fixed.wrapped(numbers[0])
-    if len(numbers) != 4:
-        raise CommandError(50)
-    if any(not 0 <= number <= 255 for number in numbers):
-        raise CommandError(6)
-    return fixed.wrapped(int.from_bytes(bytes(numbers), "big"))
-
-
-@command("IH")
-def _internet_handle(text: str) -> Runner:
-    handle, found, rest = text.partition("=")
-    if not found or handle not in (*HANDLES, "S", "T"):
-        raise CommandError(4)
-    if rest.startswith(">"):
-        value = integer(rest[1:])
-        return lambda c: _close(c, handle, value(c))
-    if handle in ("S", "T"):
-        raise CommandError(4)
-    head, kind_given, kind_text = rest.partition(">")
-    head, port_given, port_text = head.partition("<")
-    kind = integer(kind_text) if kind_given else None
-    port = integer(port_text) if port_given else None
-    fields = values(parse_fields(head))
-
-    def run(c: Context) -> Outcome:
-        ports = c.machine.ports
-        if handle in ports.handles or handle in ports.outgoing:
-            raise CommandError(124)
-        address = _parse_address([raw for raw in fields(c) if raw is not None])
-        number = port(c) if port is not None else 502
-        session = kind(c) if kind is not None else 2
-        if not 0 <= number <= 65535 or not 0 <= session <= 2:
-            raise CommandError(6)
-        ports.outgoing[handle] = (address, number, -5 if session == 1 else -6)
-        return None
-
-    return run
-
-
-def _close(c: Context, handle: str, how: int) -> Outcome:
-    ports = c.machine.ports
-    if how not in (-1, -2):
-        raise CommandError(6)
-    own = c.port.name if c.port is not None else ""
-    if handle == "S":
-        names = [own]
-    elif handle == "T":
-        names = [name for name in HANDLES if name != own]
-    else:
-        names = [handle]
-        if handle not in ports.handles and handle not in ports.outgoing:
-            raise CommandError(126)
-    for name in names:
-        ports.outgoing.pop(name, None)
-        port = ports.handles.get(name)
-        if port is not None:
-            if port is c.port:
-                port.accept(None)
-            port.hang_up()
-    return None
-
-
-@command("HS")
-def _swap_handles(text: str) -> Runner:
-    first, found, second = text.partition("=")
-    if not found or first not in (*HANDLES, "S") or second not in (*HANDLES, "S"):
-        raise CommandError(4)
-
-    def run(c: Context) -> Outcome:
-        own = c.port.name if c.port is not None else ""
-        one, other = (own if name == "S" else name for name in (first, second))
-        if not one or not other:
-            raise CommandError(4)
-        c.machine.ports.swap(one, other)
-        return None
-
-    return run
-
-
-@command("SA")
-def _send_command(text: str) -> Runner:
-    handle, found, rest = text.partition("=")
-    if not found or handle not in HANDLES or len(handle) != 1:
-        raise CommandError(4)
-    parts = split(rest)
-    if len(parts) > 8 or not rest:
-        raise CommandError(50)
-    for part in parts:
-        compile_expression(part)
-
-    def run(c: Context) -> Outcome:
-        if handle not in c.machine.ports.outgoing:
-            raise CommandError(126)
-        c.machine.response_state[handle] = 4
-        return None
-
-    return run
-
-
-@command("MB")
-def _modbus(text: str) -> Runner:
-    handle, found, rest = text.partition("=")
-    if not found or handle not in HANDLES or len(handle) != 1:
-        raise CommandError(4)
-    parts = split(rest)
-    if len(parts) < 2:
-        raise CommandError(50)
-    place = 0 if parts[0].startswith("-1") else 1
-    function = integer(parts[place])
-
-    def run(c: Context) -> Outcome:
-        if function(c) not in (-1, 1, 2, 3, 4, 5, 6, 7, 15, 16, 17):
-            raise CommandError(127)
-        raise CommandError(126)
-
-    return run
-
-
-@command("TH")
-def _tell_handles(text: str) -> Runner:
-    bare(text)
-
-    def run(c: Context) -> Outcome:
-        machine = c.machine
-        serial = machine.options.serial_number
-        lines = [
-            f"CONTROLLER IP ADDRESS {address_text(machine.address)} "
-            f"ETHERNET ADDRESS 00-20-B5-00-{serial >> 8:02X}-{serial & 255:02X}"
-        ]
-        for name in machine.model.handles:
-            port = machine.ports.handles.get(name)
-            peer = machine.ports.outgoing.get(name)
-            if port is not None:
-                lines.append(f"IH{name} {port.kind.upper()} PORT 23 TO IP ADDRESS 0,0,0,0 PORT 0")
-            elif peer is not None:
-                kind = "UDP" if peer[2] == -5 else "TCP"
-                lines.append(f"IH{name} {kind} PORT 0 TO IP ADDRESS {address_text(peer[0])} PORT {peer[1]}")
-            else:
-                lines.append(f"IH{name} AVAILABLE")
-        written = "\r\n".join(lines)
-        return report(c, written)
-
-    return run
-
-
-@command("WH")
-def _which_handle(text: str) -> Runner:
-    bare(text)
-    return lambda c: report(c, "RS232" if c.port is None or c.port.name == "S" else f"IH{c.port.name}")
 
 
 # Memory and locks

@@ -6,6 +6,7 @@ from sim.core.controller import Connection, LimitSwitch, Motion, Send
 from sim.yaskawa.arguments import canonical
 from sim.yaskawa.axis import Axis
 from sim.yaskawa.machine import Machine
+from sim.yaskawa.network import Network
 
 _LIMITS: dict[str, LimitSwitch] = {"forward": "forward", "reverse": "reverse", "both": "both", "none": "none"}
 
@@ -28,6 +29,11 @@ class Controller:
     def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
         """Open a port; raises `PortRefused`."""
         return self.machine.ports.connect(port, send, closed)
+
+    def join(self, network: Network) -> None:
+        """Ethernet: be at the own IP address on `network`, and find the others there. SMC-4000 only."""
+        self.machine.network = network
+        network.places[self.machine.address] = self
 
     def set_power(self, on: bool) -> None:
         self.machine.set_power(on)

@@ -4,11 +4,10 @@ from collections.abc import Callable
 
 from sim.yaskawa import fixed
 from sim.yaskawa.errors import CommandError
+from sim.yaskawa.modbus import POINTS, READ_COILS, READ_INPUTS, RemotePoints
 from sim.yaskawa.world import World
 
 BYTE = 8
-MODBUS = 1000
-"""Numbers from here on are points of Modbus devices (L1863)."""
 _VOLTS_RANGE = 10.0
 _VOLTS_STEP = 20.0 / (1 << 14)
 
@@ -16,12 +15,14 @@ _VOLTS_STEP = 20.0 / (1 << 14)
 class Points:
     """Digital inputs and outputs by number, analog inputs. missing: outputs that have a number but no terminal."""
 
-    def __init__(self, world: World, outputs: int, *, modbus: bool, missing: frozenset[int] = frozenset()) -> None:
+    def __init__(
+        self, world: World, outputs: int, *, remote: RemotePoints | None, missing: frozenset[int] = frozenset()
+    ) -> None:
         self.world = world
         self.outputs = 0
         self.listeners: list[Callable[[int, bool], None]] = []
         self.count = outputs
-        self._modbus = modbus
+        self._remote = remote
         self._real = sum(1 << number for number in range(outputs) if number + 1 not in missing)
 
     def input_byte(self, bank: int = 0) -> int:
@@ -31,20 +32,24 @@ class Points:
 
     def read_input(self, number: int) -> int:
         """`@IN[n]`."""
-        self._refuse_modbus(number)
+        if self._remote is not None and number >= POINTS:
+            return self._remote.read(number, READ_INPUTS)
         if not 1 <= number <= len(self.world.inputs):
             raise CommandError(56)
         return int(self.world.inputs[number - 1])
 
     def read_output(self, number: int) -> int:
         """`@OUT[n]`."""
-        self._refuse_modbus(number)
+        if self._remote is not None and number >= POINTS:
+            return self._remote.read(number, READ_COILS)
         if not 1 <= number <= self.count:
             raise CommandError(56)
         return self.outputs >> (number - 1) & 1
 
     def read_analog(self, number: int) -> int:
         """`@AN[n]`: volts, in steps of 14 bits over +/-10 V; without analog inputs on board always 0 (D72)."""
+        if self._remote is not None and number >= POINTS:
+            return self._remote.read_volts(number)
         analog = self.world.analog
         if not analog:
             return 0
@@ -55,7 +60,9 @@ class Points:
 
     def set_output(self, number: int, level: bool) -> None:
         """`SB`, `CB`, `OB`."""
-        self._refuse_modbus(number)
+        if self._remote is not None and number >= POINTS:
+            self._remote.write(number, level)
+            return
         if not 1 <= number <= self.count:
             raise CommandError(6)
         bit = 1 << (number - 1)
@@ -70,6 +77,8 @@ class Points:
                 for listener in self.listeners:
                     listener(number + 1, bool(outputs >> number & 1))
 
-    def _refuse_modbus(self, number: int) -> None:
-        if self._modbus and number >= MODBUS:
+    def set_analog(self, number: int, volts: float) -> None:
+        """`AO`: only devices have analog outputs (L2669)."""
+        if self._remote is None or number < POINTS:
             raise CommandError(126)
+        self._remote.write_volts(number, volts)

@@ -17,8 +17,10 @@ from sim.yaskawa.formats import Format, Layout
 from sim.yaskawa.interpreter import Interpreter
 from sim.yaskawa.io import Points
 from sim.yaskawa.memory import Memory
+from sim.yaskawa.modbus import RemotePoints
 from sim.yaskawa.model import Model
 from sim.yaskawa.motion import MotionControl
+from sim.yaskawa.network import Network
 from sim.yaskawa.options import Options
 from sim.yaskawa.ports import Port, Ports
 from sim.yaskawa.program import Program
@@ -53,9 +55,12 @@ class Machine:
         self.powered = True
         self._random = random.Random(seed)
         self.letters = model.letters[: options.axis_count]
-        self.io = Points(self.world, options.outputs, modbus=bool(model.handles), missing=options.absent_outputs)
         self.memory = Memory(self)
         self.ports = Ports(self)
+        self.network: Network | None = None
+        """What Ethernet joins it to, beside the hosts that connect to it."""
+        remote = RemotePoints(lambda handle: self.ports.outgoing.get(handle), model.handles) if model.handles else None
+        self.io = Points(self.world, options.outputs, remote=remote, missing=options.absent_outputs)
         self.motion = self._new_motion()
         self.interpreter = Interpreter(self, self._delay_ns)
         self.events = Events(self)
@@ -121,8 +126,6 @@ class Machine:
         self.motion.cam.master_cycle = 0 if self.options.own_modulus else None
         self.last_encoder = 0
         """Number of the axis whose absolute encoder was read last."""
-        self.responses: dict[str, list[int]] = {}
-        self.response_state: dict[str, int] = {}
         for axis in self.motion.axes.values():
             axis.registers = {name: parameter.default for name, parameter in self.model.parameters.items()}
 

@@ -324,11 +324,11 @@ def _handle(suffix: str) -> Evaluator:
         port = c.machine.ports.handles.get(name)
         peer = c.machine.ports.outgoing.get(name)
         if item == 4:
-            return fixed.whole(c.machine.response_state.get(name, 0))
+            return fixed.whole(peer.asked if peer is not None else 0)
         if port is not None:
             return fixed.whole((0, 0, 2 if port.kind == "tcp" else 1, 0)[item])
         if peer is not None:
-            return fixed.whole((peer[0], peer[1], peer[2], 1)[item])
+            return fixed.whole((peer.address, peer.number, peer.state, peer.unresolved)[item])
         return fixed.whole((-1, 0, 0, 0)[item])
 
     return read
@@ -341,7 +341,8 @@ def _response(suffix: str) -> Evaluator:
     name, item = suffix[0], int(suffix[1:] or "0")
 
     def read(c: Context) -> int:
-        found = c.machine.responses.get(name, [])
+        peer = c.machine.ports.outgoing.get(name)
+        found = peer.fields if peer is not None else []
         return found[item] if item < len(found) else fixed.whole(UNUSED)
 
     return read

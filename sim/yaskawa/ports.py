@@ -8,6 +8,7 @@ from sim.core.controller import PortRefused, Send
 from sim.yaskawa import fixed
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
+from sim.yaskawa.network import Peer
 from sim.yaskawa.statements import Raw, Statement, compile_line
 from sim.yaskawa.trippoints import Trip
 
@@ -245,8 +246,8 @@ class Ports:
         self.strict_packets = False
         self.handles: dict[str, Port] = {}
         self.first_handle = ""
-        self.outgoing: dict[str, tuple[int, int, int]] = {}
-        """Handles that this controller opens itself: peer address, peer port, `_IHh2`."""
+        self.outgoing: dict[str, Peer] = {}
+        """Handles that this controller has opened itself."""
         self.lost_handle = -1
         self._all: tuple[Port, ...] = ()
 
@@ -291,17 +292,23 @@ class Ports:
         elif self.handles.get(port.name) is port:
             del self.handles[port.name]
             if port.kind == "tcp" and lost and self.machine.powered:
-                self.lost_handle = ord(port.name) - ord("A")
-                self.machine.interpreter.raise_event("TCPERR")
+                self.connection_lost(port.name)
         self._refresh()
         if self.machine.powered:
             self.machine.go_on()
+
+    def connection_lost(self, handle: str) -> None:
+        """A TCP connection has gone without the controller's doing: `_IA4`, #TCPERR (L5778, L15514)."""
+        self.lost_handle = ord(handle) - ord("A")
+        self.machine.interpreter.raise_event("TCPERR")
 
     def drop_all(self) -> None:
         """Power is gone, or a hardware reset."""
         for port in tuple(self._all):
             port.hang_up()
-        self.outgoing.clear()
+        peers, self.outgoing = tuple(self.outgoing.values()), {}
+        for peer in peers:
+            peer.close()
 
     def swap(self, first: str, second: str) -> None:
         """`HS` (L5635)."""
@@ -313,6 +320,7 @@ class Ports:
                 port.name = name
                 self.handles[name] = port
             if peer is not None:
+                peer.handle = name
                 self.outgoing[name] = peer
         self._refresh()
 
@@ -329,6 +337,9 @@ class Ports:
         if name == "2" and "serial2" not in self.machine.model.ports:
             name = "S"
         port = self.serial if name == "S" else self.second if name == "2" else self.handles.get(name)
+        peer = self.outgoing.get(name)
+        if peer is not None:
+            peer.send(text.encode("latin-1", "replace"))
         if port is not None:
             if self.machine.mark_unsolicited:
                 text = "".join(chr(ord(character) | 0x80) for character in text)

@@ -5,8 +5,8 @@ import json
 from collections.abc import Mapping
 
 import pytest
+from unit.sim.desk import Desk
 from unit.sim.test_shrc203 import Rig
-from unit.sim.test_smc4000 import Desk
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.queue import EventQueue

@@ -4,6 +4,7 @@ import random
 from collections.abc import Callable
 
 import pytest
+from unit.sim.desk import Desk
 
 from orchestrator.clock.queue import EventQueue
 from sim.core.controller import PortRefused, Timing
@@ -15,42 +16,6 @@ GATE = (
     "#GOC;'contour, timed start\rI=0;HLT=0;REMN=T0-TIME;JP #LATEC,REMN<5\rCM XYZW;DT NDT\rWT T0-TIME;TACT=TIME\r"
     "#CL;CD DX[I],DX[I],DX[I],DX[I];WC;I=I+1;JP #CL,(I<NS)&(HLT=0)\rDT 0;CD 0;EN\r#LATEC;LATE=1;EN\r"
 )
-
-
-class Desk:
-    """One controller with an open connection, on virtual time."""
-
-    def __init__(
-        self, port: str = "tcp", timing: Timing | None = None, oscillator: Oscillator | None = None, **options: object
-    ) -> None:
-        self.clock = EventQueue()
-        self.unit = SMC4000.build(self.clock, options, timing=timing, oscillator=oscillator)
-        self.heard = b""
-        self.hung_up = False
-        self.open(port)
-
-    def open(self, port: str) -> None:
-        def closed() -> None:
-            self.hung_up = True
-
-        self.line = self.unit.connect(port, self._hear, closed)
-
-    def _hear(self, data: bytes) -> None:
-        self.heard += data
-
-    def ask(self, *commands: str, wait_s: float = 0.0) -> str:
-        for command in commands:
-            self.heard = b""
-            self.line.receive((command if command.endswith(("\r", "\x1a")) else f"{command}\r").encode("latin-1"))
-            self.wait(wait_s)
-        return self.heard.decode("latin-1")
-
-    def wait(self, seconds: float) -> None:
-        self.clock.run_until_ns(self.clock.now_ns() + round(seconds * 1e9))
-
-    def rest(self) -> None:
-        while not self.unit.at_rest():
-            assert self.clock.step()
 
 
 def test_a_move_is_recorded_with_its_true_start_and_end() -> None:
