@@ -87,6 +87,31 @@ def virtual(as_json: bool, hours: float) -> None:
         )
 
 
+@bench.command(epilog="Example: tutti bench poll --json")
+@json_option
+@click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(1, 3600), help="Of virtual time.")
+def poll(as_json: bool, seconds: float) -> None:
+    """Poll SMC-2000 at 19,200 baud as often as they answer, against what the characters on the wire allow.
+
+    Alone and three on a daisy chain, with and without a USB adapter that keeps received bytes for up to 16 ms.
+    """
+    from rich.table import Table
+
+    from orchestrator.lab.bench_poll import bench_poll
+
+    rows = bench_poll(seconds)
+    if as_json:
+        print_json({"rows": [row._asdict() for row in rows], "seconds": seconds})
+        return
+    table = Table(title="SMC-2000 of two axes, virtual time", title_justify="left", header_style="bold")
+    for name in ("units", "adapter holds, ms", "asked at once", "polls/s", "the wire allows", "share, %"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        shown = (row.units, row.hold_ms, row.at_once, row.polls_s, row.wire_polls_s, row.share)
+        table.add_row(*(str(value) for value in shown))
+    console.print(table)
+
+
 @bench.command(epilog="Example: tutti bench sim --controllers 64 --json")
 @json_option
 @click.option("--controllers", default=64, show_default=True, type=click.IntRange(1, 512), help="Of four axes each.")
