@@ -63,9 +63,10 @@ class PolledSession(SerialSession):
                     return await self._poll(command, count, alone)
                 except (DriverFault, Refused):
                     line.out_of_step()
-                    if alone or not (self._overlapped or line.stops != stops):
-                        raise
-                    alone = True
+                    if line.stops == stops:
+                        if not self._overlapped:
+                            raise
+                        alone = True
                 except LinkClosed:
                     line.lost(self._link)
                     raise

@@ -29,6 +29,7 @@ ADDRESS = "XUN"
 _SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
 _REVISION = "\x12\x16"
 _TRIES = 2
+BEGINNINGS = ("BG", "XQ")  # what must not be said twice
 _REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
 _MARK = 0x80
 
@@ -53,6 +54,7 @@ class SerialSession(Session):
         self._marked: bytearray = bytearray()
         self._settled = False
         self._known = False
+        self._own_stops = 0
 
     # What others ask for
 
@@ -106,6 +108,7 @@ class SerialSession(Session):
         return parse_numbers(answer.lines[0], len(operands), command), answer
 
     def shout(self, *commands: str) -> None:
+        self._own_stops += 1
         self._line.shout(self._link, self._unit, commands)
 
     async def download(self, lines: tuple[str, ...]) -> None:
@@ -137,37 +140,41 @@ class SerialSession(Session):
     async def _told(
         self, command: str, still: Callable[[], None] | None, characters: int = 0
     ) -> tuple[list[str], Answer]:
-        """A command and its reply. What was disturbed by the stop of another unit is said again, unless it begins a
-        motion."""
-        line = self._line
-        for last in (False, True):
+        """A command and its reply.
+
+        Prompts of units at different places of a chain may overtake each other, so that after a stop of another one
+        nobody knows whose they are: then it is said again, or is a fault if it begins something.
+        """
+        line, begins = self._line, command.startswith(BEGINNINGS)
+        while True:
             async with Turn(line):
+                stops = line.stops
                 try:
                     await self._turn_to_unit()
-                    stops = line.stops
+                    stops, own = line.stops, self._own_stops
                     if still is not None:
                         still()
                     line.in_step = False
-                    try:
-                        found, answer = await self._asked(command, characters)
-                    except DriverFault:
-                        if last or line.stops == stops or command.startswith("BG"):
-                            raise
-                        line.out_of_step()
-                        continue
-                    line.in_step = line.stops == stops
-                    if not line.in_step:
-                        line.out_of_step()
-                    return found, answer
+                    found, answer = await self._asked(command, characters)
+                    if line.stops - stops != self._own_stops - own:
+                        raise self._garbage(command, "its own reply", "a stop of another unit")
                 except Refused:
                     raise
                 except LinkClosed:
                     line.lost(self._link)
                     raise
+                except DriverFault:
+                    line.out_of_step()
+                    if line.stops == stops or begins:
+                        raise
                 except BaseException:
                     line.out_of_step()
                     raise
-        raise AssertionError
+                else:
+                    line.in_step = True
+                    if line.stops != stops:
+                        line.out_of_step()
+                    return found, answer
 
     async def _asked(self, command: str, characters: int) -> tuple[list[str], Answer]:
         """One command, or several settings parted by CR; of which the first refused one is told."""
@@ -190,6 +197,9 @@ class SerialSession(Session):
         return lines, answer
 
     async def _why(self, command: str) -> Refused:
+        if self._line.selected != self._unit:
+            # A stop of another unit came meanwhile.
+            await self._turn_to_unit()
         reply, _ = await self._exchange("TC1", self._reply)
         words = reply.lines[-1] if reply.lines and not reply.refused else ""
         number, _, _ = words.partition(" ")
@@ -203,9 +213,8 @@ class SerialSession(Session):
         line = self._line
         if line.ahead is not None:
             line.out_of_step()
-        if line.in_step and line.selected == self._unit and self._settled:
-            return
-        for left in reversed(range(_TRIES)):
+        left = _TRIES
+        while not (line.in_step and line.selected == self._unit and self._settled):
             stops, line.in_step, line.selected = line.stops, False, None
             marker = line.marker()
             asked = f'MG "{marker}",{ADDRESS}' if self._known else f'MG "{marker}"'
@@ -215,27 +224,22 @@ class SerialSession(Session):
             opening += self._addressed(left) + "".join(f"{command}\r" for command in settings)
             try:
                 said = await self._marked_reply(opening, asked, marker)
+                if self._known and said != str(self._unit) and line.stops == stops:
+                    raise self._garbage(f"%{self._unit}", f"the unit with address {self._unit}", repr(said))
             except DriverFault:
-                self._settled = False
-                if left:
-                    continue
-                raise
-            if line.stops != stops:
+                if line.stops == stops:
+                    self._settled = False
+                    left -= 1
+                    if not left:
+                        raise
                 continue
-            if self._known and said != str(self._unit):
-                self._settled = False
-                if left:
-                    continue
-                raise self._garbage(f"%{self._unit}", f"the unit with address {self._unit}", repr(said))
-            line.in_step, line.selected, self._settled = True, self._unit, True
-            return
-        if not line.in_step:
-            raise CannotDo("stopped", "stops came all the time", "")
+            if line.stops == stops:
+                line.in_step, line.selected, self._settled = True, self._unit, True
 
     def _addressed(self, left: int) -> str:
         """A controller alone does not need an address, unless somebody has addressed another one before."""
         if self._unit is None:
-            return "" if left or self._settled else address(0)
+            return "" if left > 1 or self._settled else address(0)
         return address(self._unit)
 
     async def _marked_reply(self, opening: str, asked: str, marker: str) -> str:

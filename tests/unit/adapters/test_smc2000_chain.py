@@ -1,0 +1,169 @@
+"""Several SMC-2000 on one daisy chain: who asks gets its own answer, and what goes wrong with one is not the others'."""
+
+import asyncio
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, run_chain, trapezoid
+
+from adapters.contract import CannotDo, Driver, DriverFault, JogMove
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.files import FileError
+from orchestrator.model.fleet import Fleet
+
+
+@pytest.mark.parametrize("first", range(0, 200, 25))
+def test_replies_are_not_mixed_whatever_overlaps(first: int):
+    """Each unit stands at a place of its own and keeps a number of its own; everybody asks everything at random."""
+
+    async def main(world: ChainWorld) -> None:
+        await world.ready(2)
+        draw = Random(world.wire.seed)
+        for address, driver in world.drivers.items():
+            await driver.raw(f"DPX={1000 + address}")
+            await driver.raw(f"XMINE={7000 + address}")
+
+        async def busy(address: int, driver: Driver) -> None:
+            for _ in range(8):
+                await sleep_ns(world.clock, draw.randrange(40 * NS_PER_MS))
+                kind = draw.randrange(6)
+                if kind < 3:
+                    reading = await driver.poll()
+                    assert reading.axes["x"].commanded_counts == 1000 + address
+                elif kind == 3:
+                    assert float(await driver.raw("MG XMINE")) == 7000 + address
+                elif kind == 4:
+                    await driver.set_output(1, draw.random() < 0.5)
+                else:
+                    await driver.stop_axes(["x"])
+
+        await asyncio.gather(*(busy(*each) for each in world.drivers.items() for _ in range(2)))
+        for address, unit in world.units.items():
+            assert unit.position("X") == 1000 + address
+
+    for seed in range(first, first + 25):
+        run_chain(main, seed=seed, hold_ms=(0, 16)[seed % 2])
+
+
+def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out():
+    async def main(world: ChainWorld) -> None:
+        await world.ready(5)
+        world.units[2].set_power(False)
+
+        async def knock() -> None:
+            for _ in range(20):
+                with pytest.raises((DriverFault, LinkClosed)):
+                    await world.drivers[2].poll()
+                await sleep_ns(world.clock, 20 * NS_PER_MS)
+
+        task = asyncio.get_running_loop().create_task(knock())
+        longest_ns = 0
+        while not task.done():
+            for address in (0, 1):
+                began_ns = world.clock.now_ns()
+                await world.drivers[address].poll()
+                longest_ns = max(longest_ns, world.clock.now_ns() - began_ns)
+        await task
+        # Silence, twice where the first try may have been disturbed, and the polls of the other two.
+        assert longest_ns < 450 * NS_PER_MS
+
+    run_chain(main)
+
+
+@pytest.mark.parametrize("hold_ms", [0, 16])
+def test_a_power_cycle_of_one_unit_of_three_is_that_units_own(hold_ms: int):
+    async def main(world: ChainWorld) -> None:
+        await world.ready(5)
+        world.units[1].set_power(False)
+        await sleep_ns(world.clock, NS_PER_S)
+        world.units[1].set_power(True)
+        for address in (0, 2):
+            for _ in range(3):
+                assert not (await world.drivers[address].poll()).restarted
+        with pytest.raises((DriverFault, LinkClosed)):
+            for _ in range(3):
+                await world.drivers[1].poll()
+        await world.drivers[1].close()
+        await world.drivers[1].connect()
+        assert (await world.drivers[1].poll()).restarted
+        for address in (0, 2):
+            assert not (await world.drivers[address].poll()).restarted
+
+    run_chain(main, hold_ms=hold_ms)
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_stop_reaches_its_unit_within_milliseconds_past_everything_and_no_other(abort: bool, seed: int):
+    async def main(world: ChainWorld) -> None:
+        await world.ready(5)
+        for driver in world.drivers.values():
+            await driver.jog("x", JogMove(10_000, 1_000_000, None))
+        draw = Random(seed)
+        polling = [asyncio.get_running_loop().create_task(_poll_on(driver)) for driver in world.drivers.values()]
+        await sleep_ns(world.clock, NS_PER_S + draw.randrange(100 * NS_PER_MS))
+        stopped = draw.choice(list(world.drivers))
+        at_ns = world.clock.now_ns()
+        await world.drivers[stopped].stop(abort)
+        assert world.clock.now_ns() == at_ns
+        await sleep_ns(world.clock, NS_PER_S)
+        for address, unit in world.units.items():
+            if address == stopped:
+                end_ns = unit.motions[-1].end_ns
+                assert end_ns is not None and end_ns - at_ns < 35 * NS_PER_MS
+            else:
+                assert unit.velocity("X") == pytest.approx(10_000, rel=0.01)
+        assert not any(task.done() for task in polling)
+        for task in polling:
+            task.cancel()
+
+    run_chain(main, seed=seed, hold_ms=16 * (seed % 2))
+
+
+async def _poll_on(driver: Driver) -> None:
+    while True:
+        await driver.poll()
+
+
+def test_a_unit_is_disarmed_while_the_others_go():
+    async def main(world: ChainWorld) -> None:
+        await world.ready(20)
+        lowered: dict[int, Any] = {}
+        mappings = {address: driver.mapping() for address, driver in world.drivers.items()}
+        t0_ns = world.clock.now_ns() + 2 * NS_PER_S
+        for address, driver in world.drivers.items():
+            lowered[address] = driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mappings[address])
+        await asyncio.gather(*(world.drivers[a].arm(lowered[a], t0_ns, mappings[a]) for a in lowered))
+        await world.drivers[1].disarm()
+        with pytest.raises(CannotDo):
+            await world.drivers[1].go()
+        await asyncio.gather(*(world.drivers[a].go() for a in (0, 2)))
+        outcomes = []
+        for address in (0, 2):
+            started = await world.drivers[address].started()
+            motion = world.units[address].motions[-1]
+            assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
+            outcomes.append(await world.drivers[address].outcome())
+        assert [outcome.state for outcome in outcomes] == ["done", "done"]
+        assert not world.units[1].motions
+
+    run_chain(main)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "both unit 0"),
+        ({"link": {"unit": None}}, "has an address there, and b has none"),
+        ({"link": {"unit": 1, "baud": 9600}}, "different settings"),
+        ({"link": {"unit": 1}, "adapter": "shrc203"}, "different `adapter`"),
+        ({"link": {"unit": 1}, "host": "far"}, "different `host`"),
+    ],
+)
+def test_a_fleet_says_why_controllers_can_not_share_a_port(changes: dict[str, Any], words: str):
+    one = FLEET | {"link": FLEET["link"] | {"unit": 0}}
+    other = one | changes | {"link": one["link"] | changes.get("link", {})}
+    with pytest.raises((ValueError, FileError), match=words):
+        Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "f", "controllers": {"a": one, "b": other}})

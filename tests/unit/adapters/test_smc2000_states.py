@@ -1,0 +1,255 @@
+"""What the SMC-2000's driver meets on its line, and in the unit itself, and what it makes of it."""
+
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.yaskawa.smc2000 import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.fleet import Controller
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "",
+        "BGX",
+        "PR 5000;BGX",
+        'MG "half',
+        "EO 0\r",
+        "CW 1\r",
+        "%3\r",
+        "%3",
+        "PF -8.0\rVF -4.2\rLZ 0\r",
+        "MO\r",
+        "DL\r#MINE;PR 10",
+        "bg\rXYZZY\r",
+        "\x12",
+        "X" * 200,
+    ],
+    ids=repr,
+)
+def test_it_is_reached_in_any_state_and_nothing_moves(before: str):
+    async def main(world: World) -> None:
+        link = await world.wire.open()
+        await typed(world.clock, link, before)
+        await link.close()
+        await sleep_ns(world.clock, NS_PER_MS)
+        await world.ready(5)
+        assert not world.controller.motions
+        _, _, outcome, _ = await world.moved({"x": trapezoid(0, 5000, 20_000, 200_000)})
+        assert outcome.state == "done", outcome
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"axes": 2},
+        {"axes": 8},
+        {"question_crlf": True},
+        {"sign_column": False},
+        {"st_halts_programs": False},
+        {"motors_on": False},
+        {"echo": False},
+        {"firmware": "D150N19p"},
+        {"command_s": 0.0002},
+    ],
+    ids=repr,
+)
+def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
+    async def main(world: World) -> None:
+        await world.ready()
+        profiles = {"x": trapezoid(0, 5000, 20_000, 200_000), "y": trapezoid(0, -3000, 20_000, 200_000)}
+        _, _, outcome, _ = await world.moved(profiles)
+        assert outcome.state == "done"
+        assert (world.controller.position("X"), world.controller.position("Y")) == (5000, -3000)
+        assert "Unrecognized" in await world.driver.raw("tpx")
+        assert (await world.driver.raw("MG _RPX")).strip() == "5000"
+
+    run(main, options=options)
+
+
+def test_a_motion_of_somebody_else_goes_on():
+    async def main(world: World) -> None:
+        await world.talk("SH;PR 100000;SP 10000;BGX")
+        await world.driver.connect()
+        await world.driver.configure()
+        assert (await world.driver.poll()).axes["x"].moving
+        await sleep_ns(world.clock, 12 * NS_PER_S)
+        assert world.controller.position("X") == 100_000
+
+    run(main)
+
+
+def test_another_program_is_not_destroyed_while_it_runs():
+    async def main(world: World) -> None:
+        await world.talk("DL\r#LOOP;WT 10;JP #LOOP\r\x1a")
+        await world.talk("XQ #LOOP,3")
+        with pytest.raises(DriverFault, match="thread 3") as fault:
+            await world.driver.connect()
+        assert fault.value.fault.code == "other-program"
+        await world.driver.close()
+        await sleep_ns(world.clock, NS_PER_MS)
+        await world.talk("HX3")
+        await world.driver.connect()
+        await world.driver.poll()
+
+    run(main)
+
+
+@pytest.mark.parametrize(("line", "words"), [("TM 500", "servo period"), ("IT 0.5", "smoothing")])
+def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
+    async def main(world: World) -> None:
+        await world.talk(line)
+        await world.driver.connect()
+        with pytest.raises(DriverFault, match=words) as fault:
+            await world.driver.configure()
+        assert fault.value.fault.code == "config-mismatch"
+
+    run(main)
+
+
+def test_an_interpreter_that_is_held_is_a_fault_with_what_to_do():
+    async def main(world: World) -> None:
+        await world.ready(3)
+        for _ in range(3):
+            began_ns = world.clock.now_ns()
+            with pytest.raises(DriverFault, match="came after") as fault:
+                await world.driver.raw("WT 10000")
+            assert fault.value.fault.code == "no-answer" and "interpreter" in fault.value.fault.remedy
+            assert world.clock.now_ns() - began_ns < NS_PER_S
+        await sleep_ns(world.clock, 30 * NS_PER_S)
+        assert not (await world.driver.poll()).restarted
+
+    run(main)
+
+
+@pytest.mark.parametrize("noise", [b"\xff\xfe\x80\r\n", b"GARBAGE\r\n:", b"?", b"\x00" * 100])
+def test_noise_is_a_fault_and_the_next_poll_finds_its_way(noise: bytes):
+    async def main(world: World) -> None:
+        await world.ready(5)
+        world.wire.to_near = lambda data: noise
+        with pytest.raises((DriverFault, LinkClosed)):
+            await world.driver.poll()
+        world.wire.to_near = None
+        assert not (await world.driver.poll()).restarted
+        assert float(await world.driver.raw("MG 123")) == 123
+
+    run(main)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
+    async def main(world: World) -> None:
+        await world.ready(5)
+        draw = Random(seed)
+
+        def spoilt(data: bytes) -> bytes:
+            return bytes(byte for byte in data if draw.random() > 0.01)
+
+        world.wire.to_near = spoilt
+        good = 0
+        for _ in range(150):
+            try:
+                reading = await world.driver.poll()
+            except (DriverFault, LinkClosed):
+                continue
+            good += 1
+            assert reading.axes["x"].commanded_counts == 0 and reading.axes["x"].enabled
+        assert good > 60
+
+    run(main, seed=seed)
+
+
+def test_a_power_cycle_and_a_reset_are_told_from_a_broken_cable():
+    async def main(world: World) -> None:
+        await world.ready(5)
+        for what in ("cut", "power", "reset"):
+            if what == "cut":
+                world.wire.cut = True
+            elif what == "power":
+                world.controller.set_power(False)
+                await sleep_ns(world.clock, 5 * NS_PER_S)
+                world.controller.set_power(True)
+            else:
+                await world.driver.raw("RS")
+            with pytest.raises((LinkClosed, LinkRefused, DriverFault)):
+                for _ in range(3):
+                    await world.driver.poll()
+            world.wire.cut = False
+            await world.driver.close()
+            await sleep_ns(world.clock, 2 * NS_PER_S)
+            await world.driver.connect()
+            await world.driver.configure()
+            assert (await world.driver.poll()).restarted is (what != "cut"), what
+            assert not (await world.driver.poll()).restarted
+
+    run(main)
+
+
+def test_switches_are_told_in_words_and_a_limit_ends_a_move():
+    async def main(world: World) -> None:
+        await world.ready(5)
+        world.controller.set_limit("Y", "reverse")
+        assert (await world.driver.poll()).axes["y"].limit == "reverse"
+        world.controller.set_limit("Y", "none")
+        await world.driver.load_limits({"x": (-4000, 9000)})
+        _, _, outcome, _ = await world.moved({"x": trapezoid(0, 50_000, 20_000, 200_000)})
+        assert outcome.state == "fault" and "forward limit" in outcome.reason
+
+    run(main)
+
+
+@pytest.mark.parametrize("method", ["default", "edge", "index"])
+def test_it_finds_its_reference_by_every_documented_way(method: str):
+    homing = {"method": method, "speed": 5.0, "direction": "positive"}
+    axes = {"x": {"motors": ["A"], "unit": "mm", "scale": 1000, "limits": LIMITS, "homing": homing}}
+
+    async def main(world: World) -> None:
+        await world.driver.connect()
+        await world.driver.configure()
+        await world.driver.enable(["x"], True)
+        found: list[str] = []
+        assert await world.driver.home(["x"], found.append) == {}
+        assert found == ["x"]
+        assert world.controller.position("X") == 0
+
+    run(main, fleet=FLEET | {"axes": axes}, options={"home_edge": {"X": 3000}, "index_every": {"X": 500}})
+
+
+def test_commands_that_are_refused_say_why():
+    async def main(world: World) -> None:
+        await world.ready(3)
+        world.controller.set_limit("X", "both")
+        await world.driver.poll()
+        with pytest.raises(CannotDo, match="22 Begin not possible due to Limit Switch"):
+            await world.driver._device.session.tell("PRX=100")
+            await world.driver._device.session.tell("BGX")
+        for line in ("DL", "%1", "!BG", "QD A[],0,1"):
+            with pytest.raises(CannotDo, match="no exchange"):
+                await world.driver.raw(line)
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"link": {"kind": "tcp", "host": "h", "port": 23}}, "link.kind"),
+        ({"link": FLEET["link"] | {"unit": 8}}, "link.unit"),
+        ({"link": FLEET["link"] | {"parity": "even"}}, "parity"),
+        ({"axes": {"x": FLEET["axes"]["x"] | {"motors": ["Q"]}}}, "no motor"),
+        ({"axes": {"x": FLEET["axes"]["x"] | {"limits": {"velocity": 9000, "acceleration": 9}}}}, "at most 8000"),
+        ({"inputs": {"i": {"number": 25}}}, "inputs 1 to 24"),
+        ({"options": {"motor_type": {"z": 2}}}, "no axis z"),
+    ],
+)
+def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
+    with pytest.raises(ValueError, match=words):
+        MAKE.check(Controller.model_validate(FLEET | change))
