@@ -1,21 +1,23 @@
 """One controller of each make and link, simulated, with its driver: what the contract suite of adapters runs over."""
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Any
 
-from adapters.contract import Driver, Lowered, Outcome, Setup, Span
+from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Setup, Span
 from adapters.firing import LoopFirer
 from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import Branch, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 
@@ -33,11 +35,15 @@ YASKAWA = {"home_edge": {"X": -2000, "Y": -1500}, "index_every": {"X": 200, "Y":
 
 @dataclass(frozen=True)
 class Case:
-    """A controller as in a fleet file, its simulator's options, the port of it that the link leads to."""
+    """A controller as in a fleet file, its simulator's options, the port of it that the link leads to.
+
+    beside: addresses of controllers like it on the same line, which are polled all the while.
+    """
 
     config: Mapping[str, Any]
     simulate: Mapping[str, Any]
     port: str
+    beside: tuple[int, ...] = ()
 
     @property
     def controller(self) -> Controller:
@@ -84,6 +90,17 @@ CASES = {
         {"axes": 2, **YASKAWA},
         "serial",
     ),
+    "smc2000 in a chain of three": replace(
+        case(
+            "smc2000",
+            {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200, "unit": 1},
+            {"x": "X", "y": "Y"},
+            SERVO,
+            {"axes": 2, **YASKAWA},
+            "serial",
+        ),
+        beside=(0, 2),
+    ),
     "shrc203 on serial": case(
         "shrc203",
         {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
@@ -101,7 +118,10 @@ CASES = {
 
 @dataclass
 class World:
-    """A driver and the controller that it drives, with the controller's truth."""
+    """A driver and the controller that it drives, with the controller's truth.
+
+    polled_beside: how often each of the other controllers on its line has been read.
+    """
 
     clock: VirtualClock
     config: Controller
@@ -109,6 +129,7 @@ class World:
     wire: MemoryWire
     driver: Driver
     draw: Random
+    polled_beside: dict[str, int]
 
     def motor(self, axis: str) -> str:
         return self.config.axes[axis].motors[0]
@@ -198,25 +219,67 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
         config, draw = chosen.controller, Random(seed)
         make = find_make(config.adapter)
         make.check(config)
-        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
-        oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed)
-        controller = simulator(config.adapter).build(
-            clock, chosen.simulate, oscillator=oscillator, timing=timing, seed=seed
-        )
+        own = config.link.unit if config.link.kind == "serial" else None
+
+        def branch(address: int | None) -> Branch:
+            oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
+            timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+            return Branch(address, chosen.simulate, oscillator, timing, seed)
+
+        addresses = {"it": own, **{f"beside{each}": each for each in chosen.beside}}
+        in_order = dict(sorted(addresses.items(), key=lambda each: each[1] or 0))
+        line = build_line(simulator(config.adapter), clock, {name: branch(a) for name, a in in_order.items()})
+        controller = line.units["it"]
         model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
         if config.link.kind == "tcp" and chosen.port == "serial":
             # A bridge hands bytes on as quickly as its serial side takes them.
             model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
-        wire = MemoryWire(clock, model, controller, chosen.port, config.link.place, copy_context(), seed)
+        wire = MemoryWire(clock, model, line.far, chosen.port, config.link.place, copy_context(), seed)
         firer = LoopFirer(clock, lambda: draw.randrange(60 * NS_PER_US))
         options = make.options.model_validate(config.options)
-        driver = make.driver(Setup("it", config, options, clock, wire.open, firer))
+        shared: dict[str, Any] = {}
+
+        def driver_of(name: str) -> Driver:
+            link = config.link
+            if name != "it":
+                link = link.model_copy(update={"unit": addresses[name]})
+            its = config.model_copy(update={"link": link})
+            return make.driver(Setup(name, its, options, clock, wire.open, firer, shared))
+
+        driver = driver_of("it")
+        loop = asyncio.get_running_loop()
+        world = World(clock, config, controller, wire, driver, draw, dict.fromkeys(addresses.keys() - {"it"}, 0))
+
+        def poll_beside(name: str) -> "asyncio.Task[None]":
+            def polled() -> None:
+                world.polled_beside[name] += 1
+
+            return loop.create_task(poll_for_ever(clock, driver_of(name), polled))
+
+        others = [poll_beside(name) for name in world.polled_beside]
         try:
-            await main(World(clock, config, controller, wire, driver, draw))
+            await main(world)
         finally:
+            for other in others:
+                other.cancel()
             await driver.close()
 
     run_virtual(within)
+
+
+async def poll_for_ever(clock: VirtualClock, driver: Driver, polled: Callable[[], None]) -> None:
+    """What another controller's unit does on the same line, whatever becomes of it. polled: told of each reading."""
+    while True:
+        try:
+            await driver.connect()
+            await driver.configure()
+            while True:
+                await driver.poll()
+                polled()
+                await sleep_ns(clock, 200 * NS_PER_MS)
+        except (DriverFault, LinkClosed, LinkRefused, CannotDo):
+            await driver.close()
+            await sleep_ns(clock, NS_PER_S)
 
 
 def evidence_holds(world: World, spans: Mapping[str, Span], truth: Mapping[str, int], what: str) -> None:

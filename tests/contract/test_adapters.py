@@ -186,6 +186,7 @@ def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
         outcome = await world.driver.outcome()
         polling.cancel()
         assert outcome.state == "done", outcome
+        assert all(times > 20 for times in world.polled_beside.values()), world.polled_beside
         made = motions(world, 0)
         evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
         evidence_holds(world, outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
