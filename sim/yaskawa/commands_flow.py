@@ -7,6 +7,7 @@ from sim.yaskawa import fixed
 from sim.yaskawa.arguments import parse_fields, split, values
 from sim.yaskawa.commands_status import report
 from sim.yaskawa.context import Context
+from sim.yaskawa.editor import Editor
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import compile_expression, integer
 from sim.yaskawa.interpreter import NO_BREAK
@@ -324,10 +325,21 @@ def _trace(text: str) -> Runner:
 
 @command("ED", where="line", lock="13")
 def _edit(text: str) -> Runner:
+    """The editor, at a line; without one at the last (L4536). Not in motion (L4549)."""
+    value = integer(text) if text else None
+
     def run(c: Context) -> Outcome:
         if c.machine.interpreter.any_running():
             raise CommandError(17)
-        raise CommandError(1)
+        if c.machine.motion.active():
+            raise CommandError(7)
+        count = len(c.machine.program.lines)
+        line = value(c) if value is not None else max(count - 1, 0)
+        if not 0 <= line <= count:
+            raise CommandError(11)
+        if c.port is not None:
+            c.port.editor = Editor(c.port, line)
+        return None
 
     return run
 

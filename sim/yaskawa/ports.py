@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 from sim.core.controller import PortRefused, Send
 from sim.yaskawa import fixed
 from sim.yaskawa.context import Context
+from sim.yaskawa.editor import Editor
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.network import Peer
-from sim.yaskawa.statements import Raw, Statement, compile_line
+from sim.yaskawa.statements import Raw, Statement, compile_line, finished
 from sim.yaskawa.trippoints import Trip
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ ENDS = "\x1a\x11\x04\\"
 """What ends a download: ctrl-Z, ctrl-Q, ctrl-D, backslash (L4134)."""
 END_OF_TEXT = "\x1a"
 """Behind an uploaded program or array."""
+_TAKING = ("DL", "QD", "ED", "RS")
+"""Commands that decide what the next bytes are."""
 SILENCE_NS = 600_000_000_000
 
 Download = Callable[[str], None]
@@ -41,9 +44,12 @@ class Port:
         self.queue: deque[tuple[Statement, int]] = deque()
         self.trip: Trip | None = None
         self.download: Download | None = None
+        self.editor: Editor | None = None
         self.heard_ns = self.machine.timebase.clock.now_ns()
         self.context = Context(self.machine, None, self)
         self._line = ""
+        self._ended = 0
+        """Characters of the line that have been run already."""
         self._packets: deque[tuple[str, int]] = deque()
         self._packet = 0
         self._loading = ""
@@ -72,7 +78,7 @@ class Port:
             self._packets.append((text, self._packet))
             self.feed()
         if self.owner.strict_packets and self.kind != "serial":
-            self._line = ""
+            self._line, self._ended = "", 0
         if self.kind == "serial" or not machine.interpreter.busy:
             machine.go_on()
 
@@ -80,8 +86,14 @@ class Port:
         """Take apart what has arrived, as far as nothing has to be run first."""
         while self._packets and not self._holds():
             text, packet = self._packets.popleft()
+            if not text:
+                continue
             if self.download is not None:
                 self._load(text, packet)
+            elif self.editor is not None:
+                self.editor = self.editor if self.editor.take(text[0]) else None
+                if len(text) > 1:
+                    self._packets.appendleft((text[1:], packet))
             elif self._control or any(mark in text for mark in "\x12\\"):
                 self._take(text[0], packet)
                 if len(text) > 1 and self.open:
@@ -93,10 +105,12 @@ class Port:
                     self._packets.appendleft((rest, packet))
                 if found:
                     self._end_line(packet)
+                else:
+                    self._end_statements(packet)
 
     def _holds(self) -> bool:
         """Whether a download that has been asked for decides what the next bytes are."""
-        return self.download is None and any(statement.op in ("DL", "QD", "RS") for statement, _ in self.queue)
+        return self.download is None and any(statement.op in _TAKING for statement, _ in self.queue)
 
     def _take(self, character: str, packet: int) -> None:
         if self._control:
@@ -109,8 +123,7 @@ class Port:
         if character == "\x12":
             self._control = True
         elif character == "\\":
-            self._line = ""
-            self._overlong = False
+            self._line, self._ended, self._overlong = "", 0, False
         elif character == "\r":
             self._end_line(packet)
         else:
@@ -120,22 +133,40 @@ class Port:
         if "\n" in text:
             text = text.replace("\n", "")
         self._line += text
-        if len(self._line) > LONGEST_LINE:
+        if self._ended + len(self._line) > LONGEST_LINE:
             self._overlong, self._line = True, self._line[:LONGEST_LINE]
 
+    def _end_statements(self, packet: int) -> None:
+        """What a semicolon has ended does not wait for the carriage return (L1624, L12230)."""
+        done = finished(self._line, self.machine.model) if ";" in self._line and not self._overlong else 0
+        if done:
+            line, self._line = self._line[: done - 1], self._line[done:]
+            self._ended += done
+            self._run(line, packet, ";")
+
     def _end_line(self, packet: int) -> None:
-        line, self._line = self._line, ""
+        line, self._line, self._ended = self._line, "", 0
         if self._overlong:
             self._overlong = False
             self.refuse(5)
             return
+        self._run(line, packet, "\r")
+
+    def _run(self, line: str, packet: int, end: str) -> None:
+        """Have the statements of a line run; what stands behind one that takes the next bytes is taken by it."""
         if self.machine.take_input(self, line):
             return
         if self.kind == "serial":
             self._packet += 1
             packet = self._packet
-        for statement in compile_line(line, self.machine.model):
+        statements = compile_line(line, self.machine.model)
+        for index, statement in enumerate(statements, start=1):
             self.queue.append((statement, packet))
+            if statement.op in _TAKING:
+                tail = ";".join(later.text for later in statements[index:])
+                self._packets.appendleft((tail + end + self._line if tail else self._line, packet))
+                self._line = ""
+                break
         self.machine.interpreter.pump()
 
     def _load(self, text: str, packet: int) -> None:
@@ -175,7 +206,7 @@ class Port:
                     self.accept(None)
                 else:
                     self.trip = outcome
-            elif self.download is None and self.open:
+            elif self.download is None and self.editor is None and self.open:
                 if isinstance(outcome, Raw):
                     self.answer(f"{outcome}:")
                 else:

@@ -30,14 +30,17 @@ class Program:
         self.labels.clear()
 
     def insert(self, at: int, lines: list[str]) -> None:
-        """Put lines in before line `at`; refused (60, 61, 62, and 10: L14436), the memory stays as it was."""
+        """Put lines in before line `at`; as `replace`."""
+        self.replace(self.lines[:at] + lines + self.lines[at:])
+
+    def replace(self, lines: list[str]) -> None:
+        """Another program; refused (60, 61, 62, and 10: L14436), the memory stays as it was."""
         if any(not line.strip() or "\t" in line for line in lines):
             raise CommandError(10)
-        if len(self.lines) + len(lines) > self.room.lines or any(len(line) > LINE_LENGTH for line in lines):
+        if len(lines) > self.room.lines or any(len(line) > LINE_LENGTH for line in lines):
             raise CommandError(60)
-        merged = self.lines[:at] + lines + self.lines[at:]
         labels: dict[str, int] = {}
-        for number, line in enumerate(merged):
+        for number, line in enumerate(lines):
             label = label_of(line)
             if label is None:
                 continue
@@ -46,7 +49,7 @@ class Program:
             labels[label] = number
         if len(labels) > self.room.labels:
             raise CommandError(62)
-        self.lines, self.labels = merged, labels
+        self.lines, self.labels = lines, labels
 
     def line_of(self, label: str) -> int:
         """The line that defines `label`."""

@@ -93,6 +93,17 @@ def compile_line(line: str, model: "Model") -> tuple[Statement, ...]:
     return tuple(statements)
 
 
+def finished(line: str, model: "Model") -> int:
+    """How many characters of an unfinished line are whole statements with their semicolons."""
+    done = 0
+    while not is_comment(line[done:].lstrip(), model):
+        head, found, _ = _cut(line[done:])
+        if not found:
+            break
+        done += len(head) + 1
+    return done
+
+
 def _cut(line: str) -> tuple[str, bool, str]:
     head, *tail = split(line, ";") if '"' in line else line.split(";", 1)
     return head, bool(tail), ";".join(tail)
