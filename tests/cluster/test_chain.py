@@ -91,8 +91,10 @@ def test_a_host_that_dies_in_motion_leaves_the_whole_chain_at_rest_in_the_declar
         client = virtual.client()
         longest_ns = max([(await client.info(name)).costs.stop_ns for name in UNITS])
         await client.submit(MOVE)
-        await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        while not all(virtual.controllers[name].moving("X") for name in UNITS):
+            await sleep_ns(virtual.clock, 10 * NS_PER_MS)
         await sleep_ns(virtual.clock, NS_PER_S // 2)
+        assert all(virtual.controllers[name].moving("X") for name in UNITS)
         at_ns = virtual.clock.now_ns()
         getattr(virtual, fault)("host/local")
         await sleep_ns(virtual.clock, 5 * NS_PER_S)
