@@ -241,9 +241,16 @@ def _clear_sequence(text: str) -> Runner:
 
 
 def _register(
-    op: str, low: float, high: float, write: Callable[[System, float], None], step: int, *, moving: bool
+    op: str,
+    low: float,
+    high: float,
+    write: Callable[[System, float], None],
+    step: int,
+    *,
+    moving: bool,
+    nearest: bool = False,
 ) -> None:
-    """Enter a parameter of the systems S and T."""
+    """Enter a parameter of the systems S and T, cut to its step or, `nearest`, rounded to it."""
 
     def compile_register(text: str) -> Runner:
         if text in ("?", "S?", "T?"):
@@ -267,7 +274,7 @@ def _register(
                 if system.running and not moving:
                     raise CommandError(7)
             for system, raw in given:
-                write(system, raw // step * step / fixed.ONE)
+                write(system, (raw + (step // 2 if nearest else 0)) // step * step / fixed.ONE)
                 if system.running:
                     system.retarget(c.machine.timebase.next_sample())
             return None
@@ -310,7 +317,7 @@ _register("VS", 2, 8_000_000, _set_speed, 2 * fixed.ONE, moving=True)
 _register("VA", 1024, 68431360, _set_acceleration, 1024 * fixed.ONE, moving=True)
 _register("VD", 1024, 68431360, _set_deceleration, 1024 * fixed.ONE, moving=False)
 _register("VR", 0, 10, _set_ratio, 1, moving=True)
-_register("VT", 0.004, 1, _set_smoothing, fixed.ONE // 256, moving=True)
+_register("VT", 0.004, 1, _set_smoothing, fixed.ONE // 256, moving=True, nearest=True)
 
 
 @command("ES")
