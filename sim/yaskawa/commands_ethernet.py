@@ -18,7 +18,7 @@ from sim.yaskawa.registry import Outcome, Runner, bare, command
 from sim.yaskawa.trippoints import when
 
 
-@command("IA")
+@command("IA", lock="1")
 def _address(text: str) -> Runner:
     if text == "?":
         return lambda c: address_text(c.machine.address)

@@ -204,7 +204,10 @@ def _password(text: str) -> Runner:
         raise CommandError(4)
 
     def run(c: Context) -> Outcome:
-        c.machine.memory.password = parts[0]
+        memory = c.machine.memory
+        memory.password = parts[0]
+        if c.machine.model.password_discards:
+            memory.discard_parameters()
         return None
 
     return run

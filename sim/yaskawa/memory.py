@@ -35,6 +35,14 @@ class Memory:
         """Master reset: nothing is burned."""
         self.factory = True
         self.password = self.machine.model.password
+        self.discard_parameters()
+        self._program: list[str] = []
+        self._cam: Cam | None = None
+        self._variables: dict[str, int] = {}
+        self._arrays: dict[str, list[int]] = {}
+
+    def discard_parameters(self) -> None:
+        """Nothing of BN is kept any more; `PW` does so (L8450)."""
         self._lock = 0
         self._registers: dict[str, dict[str, int]] = {}
         self._scalars: dict[str, object] = {}
@@ -45,10 +53,6 @@ class Memory:
         self._outputs = 0
         self._trace = False
         self._period = 1000
-        self._program: list[str] = []
-        self._cam: Cam | None = None
-        self._variables: dict[str, int] = {}
-        self._arrays: dict[str, list[int]] = {}
 
     def burn_parameters(self) -> None:
         """`BN`."""
@@ -65,6 +69,12 @@ class Memory:
         self._trace = machine.interpreter.trace
         self._period = machine.timebase.period_us
         self._lock = machine.locked
+        if machine.model.burning.cam:
+            self._burn_cam()
+
+    def _burn_cam(self) -> None:
+        self._cam = copy.deepcopy(self.machine.motion.cam)
+        self._cam.release()
 
     def burn_period(self, period_us: int) -> None:
         """`TM` and `BN` of nothing else; it takes effect at once."""
@@ -80,8 +90,7 @@ class Memory:
     def burn_program(self) -> None:
         """`BP`: program and cam."""
         self._program = list(self.machine.program.lines)
-        self._cam = copy.deepcopy(self.machine.motion.cam)
-        self._cam.release()
+        self._burn_cam()
 
     def burn_variables(self) -> None:
         """`BV`."""

@@ -51,10 +51,11 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Burning:
-    """How long BN, BP and BV take, seconds; and which of them are refused in motion."""
+    """How long BN, BP and BV take, seconds; and which of them are refused in motion. cam: BN keeps it too (L3257)."""
 
     seconds: dict[str, int]
     at_rest: frozenset[str] = frozenset()
+    cam: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,8 @@ class Model:
     """Of the answers to `XX ?` of commands that are no parameters of axes: a format, None for PF; VF when absent."""
     codes: dict[int, int] = field(default_factory=dict[int, int])
     """For codes of the family that this model does not have: what it tells instead."""
+    password_discards: bool = False
+    """PW burns itself alone: what BN has kept is lost (L8450)."""
     still_encoders: bool = False
     """QY is refused in motion."""
     unasked: frozenset[str] = frozenset()

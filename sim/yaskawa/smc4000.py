@@ -16,11 +16,11 @@ from sim.yaskawa.model import Burning, Figures, Model
 from sim.yaskawa.options import Smc4000Options
 
 LOCK_ALL = 2
-"""Level of LC at which nothing but LC itself is taken (L6735)."""
+"""Level of LC at which nothing but LC itself is taken (L6735); TC still tells why (L6798)."""
 
 
 def _locks(level: int, op: str, lock: str, text: str) -> bool:
-    return str(level) in lock or (level == LOCK_ALL and op != "LC")
+    return str(level) in lock or (level == LOCK_ALL and op not in ("LC", "TC"))
 
 
 MODEL = Model(
@@ -46,7 +46,7 @@ MODEL = Model(
     room=Room(lines=2000, labels=510, variables=510, elements=15000, zero_frees=True),
     threads=8,
     time_bases=lambda axes: (250, 20000, 125),
-    burning=Burning({"BN": 1, "BP": 3, "BV": 1}, at_rest=frozenset(("BP", "BV"))),
+    burning=Burning({"BN": 1, "BP": 3, "BV": 1}, at_rest=frozenset(("BP", "BV")), cam=True),
     locks=_locks,
     lock_levels=3,
     formats={
@@ -63,11 +63,12 @@ MODEL = Model(
     designators=True,
     external_clock=True,
     proper_arrays=True,
+    password_discards=True,
     still_encoders=True,
     unasked=frozenset(("EM", "RL", "SC", "TD", "TE")),
     codes={114: 1, 115: 7, 117: 4},
     burned=frozenset(
-        "AC BL CE DC DV EM ER FA FL GR IL IT KD KI KP KS MT NB NF NZ OE OF SP TL TW".split()  # noqa: SIM905
+        "AC BL CE DC DV EM ER FA FL GR IL IT KD KI KP MT NB NF NZ OE OF SP TL".split()  # noqa: SIM905
     ),
 )
 

@@ -82,6 +82,14 @@ CASES = [
     case("L10421", 'MG {EC}"x"', "?126"),
     # Absolute encoders are an option
     case("L2442", "AEX=4096", "?1"),
+    # Locks and passwords
+    case("L6798", "TC1", "130 Command not valid while controller is locked", "PW apple,apple", "LC apple,2", "BN"),
+    case("L6756", "MG 1", "?130", "PW apple,apple", "LC apple,2"),
+    case("L8450", "MG _KPX{F1.0}", " 1", "KP 7", "BN", "PW apple,apple", "RS"),
+    # What BN keeps (L3256-L3273)
+    case("L3258", "MG _EP{F2.0}", " 20", "EP 20,100", "BN", "RS"),
+    case("L3259", "MG _FAX{F2.0}", " 05", "FA 5", "BN", "RS"),
+    case("L3256", "MG _TWX{F5.0}", " 32766", "TW 100", "BN", "RS"),
     # Programs
     case("L14436", "MG _ED{F1.0}", " 0", "DL\r#A\r\rEN\r\x1a"),
     case("L1624", "MG V1{F2.0}", " 05", "V1=5;V2=6"),
@@ -98,6 +106,13 @@ def test_a_command_is_answered_as_the_manual_says(each: Case) -> None:
         assert int(desk.ask("TC").split()[0]) == int(each.reply[1:])
     else:
         assert answer == (f"{each.reply}\r\n:" if each.reply else ":")
+
+
+def test_the_address_is_locked_too() -> None:
+    """L6789."""
+    desk = Desk("serial", echo=False)
+    assert desk.ask("PW apple,apple", "LC apple,1", "IA 1,2,3,4") == "?"
+    assert desk.ask("LC apple,0", "IA 1,2,3,4") == ":"
 
 
 def test_an_absolute_encoder_gives_the_axis_its_place() -> None:
