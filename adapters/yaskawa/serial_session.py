@@ -21,7 +21,7 @@ from orchestrator.link.base import Link, LinkClosed
 
 T = TypeVar("T")
 
-MAX_LINE = 80  # characters (L13982)
+
 ADDRESS = "XUN"
 """The variable in which a unit of a chain keeps its address."""
 

@@ -17,7 +17,6 @@ from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.words import REMEDIES
 from orchestrator.link.base import Link, LinkClosed
 
-MAX_LINE = 80  # characters (L12254)
 MAX_PACKET = 470  # bytes (L1735)
 DOWNLOAD_REFUSED_S = 0.25  # a download that is refused is refused by then
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet

@@ -19,6 +19,7 @@ from adapters.contract import (
     Span,
 )
 from adapters.yaskawa import homing
+from adapters.yaskawa.dialect import motor_indices, send_raw
 from adapters.yaskawa.jogging import Jogging
 from adapters.yaskawa.line import SHARED, Line
 from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
@@ -26,7 +27,6 @@ from adapters.yaskawa.model import SMC2000
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import FORWARD_SWITCH, OFF_ON_ERROR, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord, Record
 from adapters.yaskawa.serial_device import SerialDevice, stop_commands
-from adapters.yaskawa.serial_session import MAX_LINE
 from adapters.yaskawa.settings import configure, load_limits
 from adapters.yaskawa.smc2000_options import Smc2000Options
 from adapters.yaskawa.smc2000_program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
@@ -51,6 +51,8 @@ ARM_EXCHANGES = 11
 DISARM_EXCHANGES = 8  # what must fit in before the start: promise, release, and taking it all back
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to note its start
+NAMES = (LETTERS, SECOND_LETTERS)
+MOTORS = "X, Y, Z, W (or A, B, C, D), E, F, G, H"
 WAITS_FOR_MORE = ("DL", "QD", "IN")  # after these the controller takes no commands
 
 _LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
@@ -59,22 +61,6 @@ _LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] =
     (False, True): "reverse",
     (True, True): "both",
 }
-
-
-def motor_indices(config: Controller) -> dict[str, int]:
-    """By axis of the fleet file, the index of its motor. Raises `ValueError`."""
-    motors: dict[str, int] = {}
-    for name, axis in config.axes.items():
-        letter = axis.motors[0]
-        index = max(LETTERS.find(letter), SECOND_LETTERS.find(letter)) if len(letter) == 1 else -1
-        if index < 0:
-            raise ValueError(
-                f"axes.{name}.motors: there is no motor {letter!r}; motors are X, Y, Z, W (or A, B, C, D), E, F, G, H"
-            )
-        if index in motors.values():
-            raise ValueError(f"axes.{name}.motors: {letter} is the motor of another axis under its other name")
-        motors[name] = index
-    return motors
 
 
 def _words(points: Mapping[str, Input] | Mapping[str, Output], size: int) -> int:
@@ -93,7 +79,7 @@ class SMC2000Driver(Driver):
         self._options = options
         self._clock = setup.clock
         self._char_ns = 10 * NS_PER_S // link.baud
-        self._motors = motor_indices(setup.config)
+        self._motors = motor_indices(setup.config, NAMES, MOTORS)
         self._line: Line = setup.shared.setdefault(SHARED, Line())
         # Only what the fleet file names is asked for: every character takes half a millisecond.
         inputs, outputs = _words(setup.config.inputs, INPUTS_OF_WORD), _words(setup.config.outputs, OUTPUTS_OF_WORD)
@@ -268,33 +254,11 @@ class SMC2000Driver(Driver):
         await self._device.session.ask("TC")
 
     async def raw(self, command: str) -> str:
-        text = command.strip()
-        if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
-            raise CannotDo("bad-line", f"a line has at most {MAX_LINE} printable ASCII characters", "shorten it")
-        parts = _commands(text)
-        if any(part.strip()[:2] in WAITS_FOR_MORE or part.strip()[:1] in ("%", "!") for part in parts):
-            raise CannotDo("not-by-raw", f"{text[:2]} is no exchange of a line for a line", "use a terminal for it")
-        try:
-            replies = [await self._device.session.ask_all(part) for part in parts]
-        except CannotDo as refusal:
-            return f"? {refusal}"
-        return "\n".join(line for lines in replies for line in lines)
+        return await send_raw(command, self._device.session.ask_all, (*WAITS_FOR_MORE, "%", "!"))
 
 
 def _bits(word: int, count: int) -> dict[int, bool]:
     return {number + 1: bool(word >> number & 1) for number in range(count)}
-
-
-def _commands(line: str) -> list[str]:
-    """The commands of a line: parted by semicolons outside quotes."""
-    parts, quoted = [""], False
-    for character in line:
-        quoted ^= character == '"'
-        if character == ";" and not quoted:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return parts
 
 
 class SMC2000Make:
@@ -313,7 +277,7 @@ class SMC2000Make:
             raise ValueError(
                 f"link.unit: {link.unit}; the units of a daisy chain are {UNITS.start} to {UNITS.stop - 1}"
             )
-        motors = motor_indices(config)
+        motors = motor_indices(config, NAMES, MOTORS)
         if len(motors) > AXES_MOST:
             raise ValueError(f"axes: {len(motors)}; at most {AXES_MOST} axes of one SMC-2000 can be driven")
         for kind, points, most in (("inputs", config.inputs, INPUTS), ("outputs", config.outputs, OUTPUTS)):

@@ -1,9 +1,9 @@
 """A start on a serial line: in few exchanges, and all of it read back, for nothing else finds a garbled digit."""
 
 from adapters.contract import CannotDo
+from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.lowering import LoweredMoves
 from adapters.yaskawa.record import AXIS_LETTERS
-from adapters.yaskawa.serial_session import MAX_LINE
 from adapters.yaskawa.start import Start
 
 OPERANDS_OF_LINE = (MAX_LINE - 3) // len('_SPX,",",')

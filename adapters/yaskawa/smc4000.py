@@ -20,6 +20,7 @@ from adapters.contract import (
 )
 from adapters.yaskawa import homing
 from adapters.yaskawa.device import Device, stop_commands
+from adapters.yaskawa.dialect import motor_indices, send_raw
 from adapters.yaskawa.jogging import Jogging
 from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
@@ -34,7 +35,6 @@ from adapters.yaskawa.record import (
     AxisRecord,
     Record,
 )
-from adapters.yaskawa.session import MAX_LINE
 from adapters.yaskawa.settings import configure, load_limits
 from adapters.yaskawa.start import Start
 from adapters.yaskawa.words import STOP_CODES
@@ -53,6 +53,8 @@ ARM_EXCHANGES = 20
 DISARM_EXCHANGES = 7
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L7683-7704)
+NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
+MOTORS = "X, Y, Z, W (or A, B, C, D)"
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
 
 _LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
@@ -62,20 +64,6 @@ _LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] =
     (True, True): "both",
 }
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
-
-
-def motor_indices(config: Controller) -> dict[str, int]:
-    """By axis of the fleet file, the index of its motor. Raises `ValueError`."""
-    motors: dict[str, int] = {}
-    for name, axis in config.axes.items():
-        letter = axis.motors[0]
-        index = max(AXIS_LETTERS[:AXES].find(letter), RECORD_LETTERS.find(letter)) if len(letter) == 1 else -1
-        if index < 0:
-            raise ValueError(f"axes.{name}.motors: there is no motor {letter!r}; motors are X, Y, Z, W (or A, B, C, D)")
-        if index in motors.values():
-            raise ValueError(f"axes.{name}.motors: {letter} is the motor of another axis under its other name")
-        motors[name] = index
-    return motors
 
 
 class SMC4000Driver(Driver):
@@ -89,7 +77,7 @@ class SMC4000Driver(Driver):
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
-        self._motors = motor_indices(setup.config)
+        self._motors = motor_indices(setup.config, NAMES, MOTORS)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         shared = isinstance(setup.config.link, SerialLink)
         axes = max(self._motors.values()) + 1
@@ -248,28 +236,7 @@ class SMC4000Driver(Driver):
         await self._device.session.ask("TC")
 
     async def raw(self, command: str) -> str:
-        text = command.strip()
-        if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
-            raise CannotDo("bad-line", f"a line has at most {MAX_LINE} printable ASCII characters", "shorten it")
-        if any(part.strip()[:2] in (*WAITS_FOR_MORE, "QR") for part in text.split(";")):
-            raise CannotDo("not-by-raw", f"{text[:2]} is no exchange of a line for a line", "use a terminal for it")
-        try:
-            replies = [await self._device.session.ask_all(part) for part in _commands(text)]
-        except CannotDo as refusal:
-            return f"? {refusal}"
-        return "\n".join(line for lines in replies for line in lines)
-
-
-def _commands(line: str) -> list[str]:
-    """The commands of a line: parted by semicolons outside quotes."""
-    parts, quoted = [""], False
-    for character in line:
-        quoted ^= character == '"'
-        if character == ";" and not quoted:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return parts
+        return await send_raw(command, self._device.session.ask_all, (*WAITS_FOR_MORE, "QR"))
 
 
 class SMC4000Make:
@@ -281,7 +248,7 @@ class SMC4000Make:
     def check(self, config: Controller) -> None:
         if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
             raise ValueError(f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}")
-        motors = motor_indices(config)
+        motors = motor_indices(config, NAMES, MOTORS)
         for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
             for name, point in points.items():
                 if point.number > POINTS:

@@ -7,9 +7,10 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.contract import CannotDo
+from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.program import VARIABLES, program
-from adapters.yaskawa.session import MAX_LINE, parse_reply
+from adapters.yaskawa.session import parse_reply
 from adapters.yaskawa.smc4000 import MAKE
 from adapters.yaskawa.trapezoid import Bounds, fit
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
