@@ -9,6 +9,7 @@ from sim.yaskawa.commands_parameters import form_command
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.expressions import integer
+from sim.yaskawa.motion import ABORT_CODE
 from sim.yaskawa.registry import Outcome, Runner, bare, command
 
 
@@ -113,7 +114,7 @@ def _abort(text: str) -> Runner:
         value = number(c) if number is not None else 0
         if value not in (0, 1):
             raise CommandError(6)
-        c.machine.abort(7, halt=value == 0)
+        c.machine.abort(ABORT_CODE, halt=value == 0)
         return None
 
     return run

@@ -19,7 +19,7 @@ from sim.yaskawa.io import Points
 from sim.yaskawa.memory import Memory
 from sim.yaskawa.modbus import RemotePoints
 from sim.yaskawa.model import Model
-from sim.yaskawa.motion import MotionControl
+from sim.yaskawa.motion import ABORT_CODE, ABORT_INPUT_CODE, SELECTIVE_CODE, MotionControl
 from sim.yaskawa.network import Network
 from sim.yaskawa.options import Options
 from sim.yaskawa.ports import Port, Ports
@@ -216,7 +216,7 @@ class Machine:
     def reset(self) -> None:
         """`RS` and power-up: the burned state (L9643)."""
         now = self.now()
-        self.motion.freeze(now, 7)
+        self.motion.freeze(now, ABORT_CODE)
         for axis in self.motion.all_axes():
             self.motion.note_end(axis, now)
         kept, physical = self.motion.motions, {axis.name: axis.physical(now) for axis in self.motion.real}
@@ -246,7 +246,7 @@ class Machine:
         if not on:
             self.settle()
             self.ports.drop_all()
-            self.motion.freeze(self.now(), 7)
+            self.motion.freeze(self.now(), ABORT_CODE)
             for axis in self.motion.all_axes():
                 self.motion.note_end(axis, self.now())
             self.interpreter.reset()
@@ -281,7 +281,7 @@ class Machine:
         self.settle()
         self.motion.abort_input = active
         if active:
-            self.abort(6, halt=True)
+            self.abort(ABORT_INPUT_CODE, halt=True)
         self.go_on()
 
     def set_input(self, number: int, level: bool) -> None:
@@ -303,7 +303,7 @@ class Machine:
             if axis.latch_armed:
                 self.motion.latch(axis, now)
         if number > 4 and self.polarity[3] and not level and number - 5 < len(self.letters):
-            self.motion.freeze(now, 11, (self.motion.real[number - 5],))
+            self.motion.freeze(now, SELECTIVE_CODE, (self.motion.real[number - 5],))
         self.events.inputs_changed(number, level)
 
     def limits_changed(self) -> None:

@@ -19,6 +19,8 @@ from sim.yaskawa.timebase import NEVER_NS, Timebase
 from sim.yaskawa.world import World
 
 FORWARD_CODE, REVERSE_CODE, STOP_CODE, ABORT_INPUT_CODE, ABORT_CODE, ERROR_CODE = 2, 3, 4, 6, 7, 8
+SELECTIVE_CODE = 11
+"""Stopped by the selective abort of `CN` (L9860)."""
 LATCH_CODE, LATCH_OVERRUN_CODE, LATCH_SHORT_CODE = 40, 41, 42
 """At the target of LT, stopped on the way to it, or too near to stop (L7151-L7159)."""
 NO_FORWARD, NO_REVERSE = 2147483647, -2147483648

@@ -37,11 +37,6 @@ def when(passed: Check) -> Trip:
     return Trip(passed)
 
 
-def every_sample(passed: Check) -> Trip:
-    """A condition that is looked at in every sample while anything moves."""
-    return Trip(passed, lambda machine, now: now + 1 if machine.motion.active() else inf)
-
-
 def place_reached(axis: Axis, place: float, upward: bool, *, commanded: bool) -> Trip:
     """AP, AD, AR, MF, MR: the position passes `place`; or the profile is done, or moves away (L2379)."""
     delay = 0 if commanded else axis.lag

@@ -238,3 +238,17 @@ def test_closing_a_handle_itself_is_no_loss() -> None:
     third.close()
     desk.wait(0.01)
     assert desk.ask("MG N{F1.0},_IA4{F1.0}") == " 1 1\r\n:"
+
+
+def test_the_abort_input_and_the_selective_ones() -> None:
+    """L8030, L9886, L11941; L3670-L3682."""
+    desk = Desk()
+    desk.ask("SH", "OE ,1", "JG*=5000", "BG", "CN ,,,1")
+    desk.wait(0.1)
+    desk.unit.set_input(7, False)
+    assert desk.ask("MG _SCZ{F2.0},_BGZ{F1.0},_BGX{F1.0}") == " 11 0 1\r\n:"
+    desk.unit.set_abort(True)
+    assert desk.ask("MG _SCX{F2.0},_BGX{F1.0},_AB{F1.0},_MOX{F1.0},_MOY{F1.0}") == " 06 0 0 0 1\r\n:"
+    assert desk.ask("BGX") == "?"
+    desk.unit.set_abort(False)
+    assert desk.ask("BGX") == ":"
