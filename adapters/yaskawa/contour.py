@@ -1,6 +1,7 @@
 """Profiles of any shape as contour records: position increments over equal times, straight between (L13907-13922).
 
-A record lasts 2^n samples; the last ones may be shorter, so that a contour ends within a sample of its plan. All axes
+A record lasts 2^n samples; the last ones may be shorter, so that a contour ends within a sample of its plan, or within
+four where such short records can not be fed. All axes
 of a contour share their instants. The plan is sampled at the controller's own sample instants, with rate and phase of
 its clock in them, so that neither is left in the path.
 """
@@ -78,7 +79,7 @@ def fit_contour(profiles: Mapping[str, Profile], tick_ns: float, room: Room, mod
                 f"at most {most_s:.1f} s, or fewer axes, or less acceleration, or raise contour_sag_counts",
             )
         _require_records(profiles, tick_s, interval, model)
-        contour = _shape(profiles, tick_s, interval, sag_counts)
+        contour = _shape(profiles, tick_s, interval, sag_counts, model.least_tail)
         if contour.count <= each:
             return contour
     most_s = each * tick_s * (1 << model.intervals[1])
@@ -112,13 +113,15 @@ def increments(profile: Profile, end: int, contour: Contour, phase: float, tick_
     return steps
 
 
-def _shape(profiles: Mapping[str, Profile], tick_s: float, interval: int, sag_counts: Mapping[str, float]) -> Contour:
-    """The records that end with the longest profile, to a sample."""
+def _shape(
+    profiles: Mapping[str, Profile], tick_s: float, interval: int, sag_counts: Mapping[str, float], least_tail: int
+) -> Contour:
+    """The records that end with the longest profile, to half of the shortest one."""
     needed = {axis: _least_samples(profile, tick_s) for axis, profile in profiles.items()}
     total = max(needed.values())
     length = 1 << interval
-    records, rest = divmod(total + total % 2, length)
-    tail = tuple(n for n in range(interval - 1, 0, -1) if rest >> n & 1)
+    records, rest = divmod(-(-total >> least_tail) << least_tail, length)
+    tail = tuple(n for n in range(interval - 1, least_tail - 1, -1) if rest >> n & 1)
     if records < LEAST_RECORDS:
         records, tail = LEAST_RECORDS, ()
     contour = Contour(interval, records, tail, {}, sag_counts)

@@ -7,8 +7,8 @@ made by the registers all the same, and its durations say how far they are off.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered
@@ -90,12 +90,13 @@ class Registers:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """A contour. profiles: by index of the axis. brakes: its DC, for a stop."""
+    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. packets: how it is loaded."""
 
     contour: Contour
     profiles: Mapping[int, Profile]
     ends: Mapping[int, int]
     brakes: Mapping[int, int]
+    packets: arrays.Packets = arrays.PACKETS
 
     @property
     def held(self) -> dict[str, dict[int, int]]:
@@ -146,8 +147,12 @@ def lower_moves(
     start: Literal["auto", "clock", "host"],
     mapping: TickMapping | None,
     model: Model = SMC4000,
+    packets: arrays.Packets = arrays.PACKETS,
 ) -> LoweredMoves:
-    """Pure. motors: index of each axis. Raises `CannotDo` naming the axis and what would fit."""
+    """Pure. motors: index of each axis. Raises `CannotDo` naming the axis and what would fit.
+
+    Where uploads are slow, trapezoids are made by the registers, however far they are off.
+    """
     if start == "host":
         raise CannotDo(
             "start-class",
@@ -166,11 +171,13 @@ def lower_moves(
     shapes, why = _by_registers(way, bounds, tick_ns, model)
     load: Registers | Records
     note: tuple[str, ...] = ()
-    if shapes is not None and not why:
+    slow = isinstance(packets, arrays.SlowUpload)
+    if shapes is not None and (slow or not why):
         load = _registers(shapes, way, motors)
+        note = (f"({why})",) if why else ()
     else:
         try:
-            load = _by_contour(way, motors, bounds, options, tick_ns, model)
+            load = _by_contour(way, motors, bounds, options, tick_ns, model, packets)
             note = (f"({why})",) if why else ()
         except CannotDo as refusal:
             if shapes is None:
@@ -220,23 +227,67 @@ def _by_contour(
     options: Options,
     tick_ns: float,
     model: Model,
+    packets: arrays.Packets,
 ) -> Records:
     if not model.contours:
         raise CannotDo(
             "order",
-            f"axis {next(iter(way))}: the profile is no trapezoid; contours are not loaded into this controller",
+            f"axis {next(iter(way))}: the profile is no trapezoid; contours are not played on so many axes",
             "leave `jerk` out of its limits, and move it from standstill to standstill",
         )
-    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS) * LOOP_SPREAD * options.decode_us * NS_PER_US
+    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.turns) * LOOP_SPREAD * options.decode_us * NS_PER_US
     room = Room(
         options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, model), options.contour_sag_counts
     )
-    contour = fit_contour(way, tick_ns, room, model)
-    return Records(
-        contour,
-        {motors[axis]: profile for axis, profile in way.items()},
-        {motors[axis]: contour.ends[axis] for axis in way},
-        {motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_ns * 1e-9) for axis in way},
+
+    def records(within: Room) -> Records:
+        contour = fit_contour(way, tick_ns, within, model)
+        return Records(
+            contour,
+            {motors[axis]: profile for axis, profile in way.items()},
+            {motors[axis]: contour.ends[axis] for axis in way},
+            {motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_ns * 1e-9) for axis in way},
+            packets,
+        )
+
+    load = records(room)
+    if isinstance(packets, arrays.SlowUpload):
+        return _soon_enough(load, records, room, tick_ns, model, packets)
+    return load
+
+
+def _soon_enough(
+    shortest: Records,
+    records: Callable[[Room], Records],
+    room: Room,
+    tick_ns: float,
+    model: Model,
+    upload: arrays.SlowUpload,
+) -> Records:
+    """The shortest records whose upload takes no longer than it may, as far as they keep near enough to the plan."""
+    load, remedy = shortest, ""
+    takes_s = shortest_s = upload.takes_ns(shortest.arrays(0.0, tick_ns)) * 1e-9
+    while takes_s > upload.most_s and load.contour.interval < model.intervals[1]:
+        try:
+            load = records(replace(room, least_interval=load.contour.interval + 1))
+        except CannotDo:
+            # Longer records can not hold its speed.
+            break
+        takes_s = upload.takes_ns(load.arrays(0.0, tick_ns)) * 1e-9
+    sag_counts = max(load.contour.sag_counts.values())
+    if takes_s <= upload.most_s:
+        if load is shortest or sag_counts <= room.sag_counts:
+            return load
+        remedy = (
+            f"records of {1 << load.contour.interval} samples would take {takes_s:.0f} s and leave the plan by "
+            f"{sag_counts:.1f} counts between them: raise contour_sag_counts to that; or "
+        )
+    most_s = upload.most_s / shortest_s * max(profile.duration_s for profile in shortest.profiles.values())
+    raise CannotDo(
+        "upload-too-long",
+        f"the {shortest.contour.count} records of each of {len(shortest.profiles)} axes would take {shortest_s:.0f} s "
+        f"to load over this line, allowed are {upload.most_s:g} s",
+        f"{remedy}at most {most_s:.1f} s of motion, or fewer axes, or raise contour_upload_s",
     )
 
 
@@ -254,7 +305,7 @@ def _promise(
     samples: dict[str, int] = {}
     errors: dict[str, float] = {}
     brakes_ns = [0.0]
-    arm_ns = costs.arm_ns
+    loading_ns = 0
     for axis, profile in profiles.items():
         index = motors[axis]
         lengths[axis], samples[axis], errors[axis] = 0.0, 0, 0.0
@@ -271,17 +322,18 @@ def _promise(
             errors[axis] = 1.0 + load.contour.sag_counts[axis]
             brakes_ns.append(profile.peak_velocity * tick_ns / load.brakes[index] * RAMP_UNIT * tick_ns * 1e-9)
     if isinstance(load, Records):
-        longest_s = tick_ns * 1e-9 * (1 << load.contour.interval)
-        digits = [len(str(round(profile.peak_velocity * longest_s) + 2)) for profile in load.profiles.values()]
-        loading = arrays.exchanges(load.contour.count, digits) + CONTOUR_EXCHANGES
-        arm_ns += loading * options.exchange_ns
+        loading_ns = _loading_ns(load, options, tick_ns)
     moves = tuple(
         AxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])
         for axis, profile in profiles.items()
     )
     # An axis that stands still is not begun; the time it is given has no meaning.
     mask = sum(1 << move.index for move in moves if move.samples)
-    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + round(options.lead_s * NS_PER_S))
+    lead_ns = round(options.lead_s * NS_PER_S)
+    if isinstance(load, Records) and isinstance(load.packets, arrays.SlowUpload):
+        # The clock is read again on the way, but what is armed keeps the reading from before.
+        lead_ns += loading_ns
+    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + lead_ns)
     first, last = begin_ticks(options, tick_ns)
     half_tick_ns = math.ceil(tick_ns / 2)
     contour = isinstance(load, Records)
@@ -298,7 +350,7 @@ def _promise(
         tick_ns=tick_ns,
         costs=costs.model_copy(
             update={
-                "arm_ns": arm_ns,
+                "arm_ns": costs.arm_ns + loading_ns,
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),
@@ -308,3 +360,12 @@ def _promise(
         drift_bound_ns=bound_ns,
         load=load,
     )
+
+
+def _loading_ns(load: Records, options: Options, tick_ns: float) -> int:
+    """How long arming takes beyond an independent move's."""
+    if isinstance(load.packets, arrays.SlowUpload):
+        return load.packets.takes_ns(load.arrays(0.0, tick_ns)) + CONTOUR_EXCHANGES * load.packets.exchange_ns
+    longest_s = tick_ns * 1e-9 * (1 << load.contour.interval)
+    digits = [len(str(round(profile.peak_velocity * longest_s) + 2)) for profile in load.profiles.values()]
+    return (arrays.exchanges(load.contour.count, digits) + CONTOUR_EXCHANGES) * options.exchange_ns

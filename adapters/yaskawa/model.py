@@ -14,7 +14,8 @@ class Model:
 
     speed, ramp: counts/s and counts/s² of the registers SP, and AC and DC. record_max: largest increment of a contour
     record (CD), counts. intervals: smallest and largest exponent of DT; a record lasts 2^n samples. contours: whether
-    the adapter loads any.
+    the adapter loads any. least_tail: exponent of the shortest record that a contour may end with. turns: commands of
+    other threads that come between WC and CD, where threads take turns command by command.
     """
 
     speed_step: int
@@ -24,6 +25,8 @@ class Model:
     record_max: int
     intervals: tuple[int, int]
     contours: bool = True
+    least_tail: int = 1
+    turns: int = 0
 
 
 SMC4000 = Model(
@@ -43,6 +46,7 @@ SMC2000 = Model(
     ramp_max=67_107_840,  # L6851
     record_max=32_762,  # L7736; L2595 says 32767
     intervals=(1, 8),  # L8328
-    # A second of one axis takes as long to upload at 19200 baud as it lasts.
-    contours=False,
+    # From WC to the next CD there are a DT and what the other threads, of which one prints polls, say in between.
+    least_tail=2,
+    turns=1,
 )

@@ -36,9 +36,10 @@ DOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
+CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", "XN", "XM", "XDT", "XI"),
+    *("XDL", "XDOG", *CONTOUR_VARIABLES),
 )
 TAIL = "XTD"
 
@@ -68,7 +69,7 @@ def program(axes: int) -> tuple[str, ...]:
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
         lines.append("XDONE=1;EN")
     for mask in range(1, 1 << axes):
-        lines += _contour(mask, axes)
+        lines += contour(mask, axes)
     lines += [
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {GATE_STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{GATE_TICKS})",
@@ -87,8 +88,11 @@ def _let_through() -> tuple[str, str]:
     return "JS #GATE", "JP #SHUT,XOK=0"
 
 
-def _contour(mask: int, axes: int) -> list[str]:
-    """Contour mode is left by DT 0 and CD 0 (L4274), which wait behind the last record like one."""
+def contour(mask: int, axes: int) -> list[str]:
+    """The lines that play the arrays of the axes of `mask`, of `axes` in all.
+
+    Contour mode is left by DT 0 and CD 0 (L4274), which wait behind the last record like one.
+    """
     chosen = [index for index in range(axes) if mask >> index & 1]
 
     def take(element: str) -> str:

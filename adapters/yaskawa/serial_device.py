@@ -1,12 +1,13 @@
 """An SMC-2000 behind a serial line: reached, identified, given its resident program, read in one printed line."""
 
 from collections.abc import Iterable, Sequence
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, suppress
 
 from adapters.contract import DriverFault, Identity
-from adapters.yaskawa import smc2000_program
+from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
 from adapters.yaskawa.line import Line
+from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD
 from adapters.yaskawa.record import MOTOR_OFF, MOVING, OFF_ON_ERROR, STOPPING, VELOCITY_SCALE, AxisRecord, Record
 from adapters.yaskawa.serial_polls import PolledSession
@@ -19,7 +20,7 @@ from orchestrator.link.base import LinkClosed, OpenLink
 
 THREADS = 4  # L3405
 STOP_LEAVES_NS = 50 * NS_PER_MS  # for a stop's bytes to be sent before the port may be closed
-LISTING_CHARACTERS = 5000  # a program may be so long; a controller need not send it as it reads it
+LISTING_CHARACTERS = 8000  # a program may be so long; a controller need not send it as it reads it
 STOPPING_CODES = (2, 3, 4)  # of SC: by a limit or ST, while it still decelerates (L11427-11493)
 
 # Bits of TS (L12128-12165)
@@ -92,10 +93,8 @@ class SerialDevice(Device):
     async def _install(self) -> None:
         session, chained = self.session, self._unit is not None
         wanted = smc2000_program.program(self._axes, chained, self._inputs, self._outputs)
-        if await self._listing() == list(wanted):
-            # Ours may still wait for a start that nobody will release any more.
-            await self.unload()
-        else:
+        await self._unload_ours()
+        if await self._listing() != list(wanted):
             await self._require_no_other()
             try:
                 await session.download(wanted)
@@ -115,10 +114,19 @@ class SerialDevice(Device):
         if chained:
             await session.tell(f"{ADDRESS}={self._unit}")
             session.know_address()
+        await arrays.free(session, smc2000_program.arrays(self._axes))
 
     async def unload(self) -> None:
-        for thread in (STEP_THREAD, DOG_THREAD):
-            await self.session.tell(f"HX{thread}")
+        # In one go. Outside contour mode there is nothing to leave, and a controller may say so.
+        with suppress(Refused):
+            await self.session.tell_all((f"HX{STEP_THREAD}", f"HX{DOG_THREAD}", *LEAVE_CONTOUR))
+
+    async def _unload_ours(self) -> None:
+        """Ours may still wait for a start that nobody will release any more: its first line tells that it is ours, long
+        before all of it is read."""
+        with suppress(Refused):
+            if any(smc2000_program.HEADING in line for line in await self.session.ask_all("LS 0,0")):
+                await self.unload()
 
     async def _listing(self) -> list[str]:
         try:
@@ -249,9 +257,10 @@ def stop_commands(abort: bool) -> tuple[str, ...]:
     """What stops all axes and keeps the waiting program from starting any.
 
     ST without letters stops all motion, and programs too (L11610-11613); HX halts all threads whether it does or not
-    (L9205). AB stops motion at once, and programs (L6768).
+    (L9205). AB stops motion at once, and programs (L6768). A contour that has not begun yet is left by its own command;
+    one that plays ends with its present record (SC 51, L11427-11493).
     """
-    return ("AB", "HX") if abort else ("ST", "HX", "ST")
+    return (*(("AB", "HX") if abort else ("ST", "HX", "ST")), *LEAVE_CONTOUR)
 
 
 _NOTHING = AxisRecord(0, 0, 0, 0, 0, 0, 0, 0, 0)

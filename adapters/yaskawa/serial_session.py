@@ -9,7 +9,7 @@ marker is thrown away. A unit of a chain is asked for its own address before it 
 import asyncio
 import re
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
 from adapters.contract import CannotDo, DriverFault
@@ -32,6 +32,8 @@ _TRIES = 2
 BEGINNINGS = ("BG", "XQ")  # what must not be said twice
 _REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
 _MARK = 0x80
+_END_OF_DATA = "\x1a"
+_ELEMENTS_OF_LINE = 10  # at most 70 characters
 
 
 class SerialSession(Session):
@@ -126,7 +128,7 @@ class SerialSession(Session):
                     if line.stops != stops:
                         raise CannotDo("stopped", "a stop came while its program was loaded", "it is tried again")
                 line.loading = False
-                await self._exchange("\x1a", self._reply)
+                await self._exchange(_END_OF_DATA, self._reply)
             except LinkClosed:
                 line.lost(self._link)
                 raise
@@ -135,12 +137,69 @@ class SerialSession(Session):
                 line.loading = False
                 line.out_of_step()
 
+    async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
+        """Fill elements of an array from `first` on (QD, L10922), in short lines like a program's.
+
+        Without a pause after QD: should it be refused, they are lines of numbers, which are no commands.
+        """
+        line = self._line
+        async with Turn(line):
+            await self._turn_to_unit()
+            stops, loaded = line.stops, False
+            try:
+                # Until its end all that is written is taken for elements; a backslash ends them, too.
+                line.in_step, self._settled, line.loading = False, False, True
+                command = f"QD {name}[],{first},{first + len(values) - 1}"
+                for text in (command, *_element_lines(values)):
+                    await self._write_slowly(text)
+                    if line.stops != stops:
+                        raise CannotDo("stopped", "a stop came while a move was loaded", "try again")
+                line.loading = False
+                reply, _ = await self._exchange(_END_OF_DATA, self._reply)
+                if reply.refused:
+                    raise Refused(command, 0, "the elements are not taken")
+                loaded = line.stops == stops
+            except LinkClosed:
+                line.lost(self._link)
+                raise
+            finally:
+                line.loading = False
+                if loaded:
+                    line.in_step = self._settled = True
+                else:
+                    line.out_of_step()
+
+    async def read_array(self, name: str, first: int, last: int) -> list[int]:
+        """Elements of an array, as whole numbers (QU, L10969): commas between, a control Z and the prompt behind."""
+        command = f"QU {name}[],{first},{last},1"
+
+        def whole() -> str | None:
+            self._sift()
+            body, end, rest = self._plain.decode("latin-1").partition(_END_OF_DATA)
+            if not end:
+                return "?" if body.strip() == "?" else None
+            return body if rest.endswith(":") else None
+
+        async def ask() -> list[int]:
+            body, _ = await self._exchange(command, whole)
+            if body == "?":
+                raise await self._why(command)
+            return [int(value) for value in parse_numbers(body, last - first + 1, command)]
+
+        return await self._exchanged(command, ask)
+
     # Inside
 
     async def _told(
         self, command: str, still: Callable[[], None] | None, characters: int = 0
     ) -> tuple[list[str], Answer]:
-        """A command and its reply.
+        """A command and its reply."""
+        return await self._exchanged(command, lambda: self._asked(command, characters), still)
+
+    async def _exchanged(
+        self, command: str, ask: Callable[[], Awaitable[T]], still: Callable[[], None] | None = None
+    ) -> T:
+        """What `ask` finds out with a command, in a turn.
 
         Prompts of units at different places of a chain may overtake each other, so that after a stop of another one
         nobody knows whose they are: then it is said again, or is a fault if it begins something.
@@ -155,7 +214,7 @@ class SerialSession(Session):
                     if still is not None:
                         still()
                     line.in_step = False
-                    found, answer = await self._asked(command, characters)
+                    found = await ask()
                     if line.stops - stops != self._own_stops - own:
                         raise self._garbage(command, "its own reply", "a stop of another unit")
                 except Refused:
@@ -174,7 +233,7 @@ class SerialSession(Session):
                     line.in_step = True
                     if line.stops != stops:
                         line.out_of_step()
-                    return found, answer
+                    return found
 
     async def _asked(self, command: str, characters: int) -> tuple[list[str], Answer]:
         """One command, or several settings parted by CR; of which the first refused one is told."""
@@ -355,3 +414,8 @@ class SerialSession(Session):
         else:
             remedy += " A unit that is off takes all units behind it off the chain."
         return DriverFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
+
+
+def _element_lines(values: Sequence[int]) -> Iterable[str]:
+    for at in range(0, len(values), _ELEMENTS_OF_LINE):
+        yield ",".join(map(str, values[at : at + _ELEMENTS_OF_LINE]))

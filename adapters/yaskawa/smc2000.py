@@ -1,6 +1,8 @@
 """The SMC-2000: driver, and what the fleet file may say about it."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import BaseModel, ValidationError
@@ -18,11 +20,12 @@ from adapters.contract import (
     Setup,
     Span,
 )
-from adapters.yaskawa import homing
+from adapters.yaskawa import homing, smc2000_program
+from adapters.yaskawa.arrays import SlowUpload
 from adapters.yaskawa.dialect import motor_indices, send_raw
 from adapters.yaskawa.jogging import Jogging
 from adapters.yaskawa.line import SHARED, Line
-from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
+from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, Records, lower_moves
 from adapters.yaskawa.model import SMC2000
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import FORWARD_SWITCH, OFF_ON_ERROR, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord, Record
@@ -40,6 +43,8 @@ from orchestrator.model.state import Costs, Fault
 
 SECOND_LETTERS = "ABCDEFGH"  # the same axes (L1044-1048)
 UNITS = range(8)  # of a chain (L939)
+ARRAY_CHARACTERS = 240  # of elements at once: other units of a chain wait an eighth of a second for their turn
+ARRAY_BACK = 40  # elements asked back at once
 INPUTS, OUTPUTS = 24, 16  # of the unit with eight axes (L742, L746)
 STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
 STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L10536)
@@ -97,6 +102,8 @@ class SMC2000Driver(Driver):
         # What the shared lowering counts a command of a stop with.
         wire_us = EXCHANGE_CHARACTERS * self._char_ns // NS_PER_US
         self._costly = options.model_copy(update={"round_trip_us": options.round_trip_us + options.hold_us + wire_us})
+        self._contoured = smc2000_program.contoured(list(self._motors.values()))
+        self._model = replace(SMC2000, contours=self._contoured)
         self._start = SerialStart(self._device, setup.clock, options)
         self._jogging = Jogging(self._device, setup.clock, self._motors)
         self._steppers: set[str] = set()
@@ -116,9 +123,13 @@ class SMC2000Driver(Driver):
         await self._device.close()
 
     @property
+    def _exchange_ns(self) -> int:
+        """On a chain each exchange may have to wait for one of every other unit."""
+        return self._costly.exchange_ns * len(self._line.units)
+
+    @property
     def capabilities(self) -> Capabilities:
-        # On a chain each exchange may have to wait for one of every other unit.
-        exchange_ns = self._costly.exchange_ns * len(self._line.units)
+        exchange_ns = self._exchange_ns
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
@@ -126,7 +137,8 @@ class SMC2000Driver(Driver):
             disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,
         )
-        return Capabilities(start_classes=("clock",), orders=(2,), independent_axes=False, costs=costs)
+        orders = (2, 3) if self._contoured else (2,)
+        return Capabilities(start_classes=("clock",), orders=orders, independent_axes=False, costs=costs)
 
     # Reading it
 
@@ -181,14 +193,24 @@ class SMC2000Driver(Driver):
         self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
     ) -> Lowered:
         costs = self.capabilities.costs
-        return lower_moves(self._config, self._motors, self._costly, costs, profiles, start, mapping, SMC2000)
+        upload = SlowUpload(
+            smc2000_program.arrays(sorted(self._motors.values())),
+            ARRAY_CHARACTERS,
+            ARRAY_BACK,
+            self._exchange_ns,
+            self._char_ns,
+            self._options.contour_upload_s,
+        )
+        return lower_moves(
+            self._config, self._motors, self._costly, costs, profiles, start, mapping, self._model, upload
+        )
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, LoweredMoves):
             raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
         self._jogging.forget(move.axis for move in lowered.moves)
-        # In one go, or the other units' polls would come between its parts.
-        async with self._device.together():
+        # In one go, or the other units' polls would come between its parts; but not for as long as an upload takes.
+        async with nullcontext() if isinstance(lowered.load, Records) else self._device.together():
             stages = await self._start.arm(lowered, t0_ns, mapping)
         self._device.session.keep_quiet(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
         return stages

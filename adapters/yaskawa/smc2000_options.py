@@ -32,3 +32,12 @@ class Smc2000Options(Options):
         le=60,
         description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
     )
+    array_elements: int = Field(
+        default=8000, ge=100, le=8000, description="Elements of the controller's arrays that contours may take (L8261)."
+    )
+    contour_upload_s: float = Field(
+        default=60.0,
+        gt=0,
+        le=600,
+        description="How long loading a jerk-limited move may take before it is armed, s.",
+    )

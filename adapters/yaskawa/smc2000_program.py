@@ -1,6 +1,6 @@
 """The program that lives in an SMC-2000: it begins at a sample of the controller's own, and prints its state if asked.
 
-Like the SMC-4000's (`program.py`: same variables, gate and watchdog; no contours), for a controller that takes programs
+Like the SMC-4000's (`program.py`: same variables, gate, watchdog and contours), for a controller that takes programs
 command by command and may have firmware that can not combine conditions (L3997, L9594). Entries `#S<mask>` begin the
 axes of a mask (bit 0 is X), one for each set of the axes that the fleet file names, because BG is refused for all when
 one is off.
@@ -11,20 +11,27 @@ one is off.
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
+from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.program import (
+    CONTOUR_VARIABLES,
     DOG_STEP_TICKS,
     DOG_THREAD,
     GATE_STEP_TICKS,
     GATE_TICKS,
     START_ROOM_TICKS,
     STEP_THREAD,
+    TAIL,
+    array,
+    contour,
     entry,
 )
 from adapters.yaskawa.serial_session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048
 POLL = "XQ#P,2"
+HEADING = "#TUTTI"
 AXES_MOST = 6  # the sets of more axes would need more than 254 labels (L3347)
+CONTOUR_AXES_MOST = 4  # a contour's entry takes three more, and the program half a second of upload for every six
 AXIS_VALUES = 4  # RP, TE, TS, SC
 INPUTS_OF_WORD = 8  # L11879
 OUTPUTS_OF_WORD = 16  # L13420
@@ -33,7 +40,17 @@ OUTPUTS_OF_WORD = 16  # L13420
 def variables(axes: Sequence[int]) -> tuple[str, ...]:
     """What the program reads or sets."""
     ends = (f"XE{index + 1}" for index in axes)
-    return ("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", *ends, "XDL", "XDOG")
+    return ("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", *ends, "XDL", "XDOG", *CONTOUR_VARIABLES)
+
+
+def contoured(axes: Sequence[int]) -> bool:
+    """Whether contours are played for a unit with these axes."""
+    return len(axes) <= CONTOUR_AXES_MOST
+
+
+def arrays(axes: Sequence[int]) -> tuple[str, ...]:
+    """The names of all arrays that contours of these axes may take."""
+    return (*(array(index) for index in axes), TAIL)
 
 
 def head(chained: bool, inputs: int, outputs: int) -> list[str]:
@@ -52,12 +69,14 @@ def program(axes: Sequence[int], chained: bool, inputs: int, outputs: int) -> tu
 
 
 def _starts(axes: Sequence[int]) -> Iterable[str]:
-    yield "#TUTTI;EN"
+    yield f"{HEADING};EN"
     for count in range(len(axes) + 1):
         for chosen in combinations(axes, count):
             begin = f"BG{''.join(LETTERS[index] for index in chosen)};" if chosen else ""
             yield f"{entry(sum(1 << index for index in chosen), False)};JS#GATE;JP#SHUT,XOK=0"
             yield f"WT XT0-TIME;{begin}XACT=TIME;JP#DONE"
+            if chosen and contoured(axes):
+                yield from contour(sum(1 << index for index in chosen), chosen[-1] + 1)
     # An axis that does not move holds nobody up here.
     yield f"#DONE;XQ#DOG,{DOG_THREAD}"
     for index in axes:
@@ -70,7 +89,7 @@ def _starts(axes: Sequence[int]) -> Iterable[str]:
     yield "#SHUT;EN"
     yield f"#DOG;WT {DOG_STEP_TICKS};JP#BITE,TIME>=XDL;JP#DOG,_HX{STEP_THREAD}>0"
     yield "JP#SHUT,XDONE=1"
-    yield f"#BITE;HX{STEP_THREAD};ST{''.join(LETTERS[index] for index in axes)};XDOG=1;EN"
+    yield f"#BITE;HX{STEP_THREAD};ST{''.join(LETTERS[index] for index in axes)};XDOG=1;{';'.join(LEAVE_CONTOUR)};EN"
 
 
 def _printing(axes: Sequence[int], first: Sequence[str]) -> Iterable[str]:

@@ -2,7 +2,7 @@
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.dialect import MAX_LINE
-from adapters.yaskawa.lowering import LoweredMoves
+from adapters.yaskawa.lowering import LoweredMoves, Records
 from adapters.yaskawa.record import AXIS_LETTERS
 from adapters.yaskawa.start import Start
 
@@ -12,14 +12,21 @@ OPERANDS_OF_LINE = (MAX_LINE - 3) // len('_SPX,",",')
 class SerialStart(Start):
     """The one move that the resident program can hold."""
 
+    # Threads take turns command by command: a poll's comes before each of the two, and the last records are short.
+    LATE_TICKS = 8
+
     async def _read_back(self, lowered: LoweredMoves) -> None:
         """The ends, too: PA reads as the place where the axis stands, but PR as the way to go (L10760, L10845)."""
-        registers = {"PR": {move.index: move.end - move.start for move in lowered.way}, **lowered.load.held}
+        load, registers = lowered.load, dict(lowered.load.held)
+        if not isinstance(load, Records):
+            registers["PR"] = {move.index: move.end - move.start for move in lowered.way}
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in registers.items()
             for index, value in values.items()
         }
+        if isinstance(load, Records):
+            wanted |= load.variables
         operands = list(wanted)
         for at in range(0, len(operands), OPERANDS_OF_LINE):
             part = operands[at : at + OPERANDS_OF_LINE]

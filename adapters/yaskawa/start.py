@@ -19,7 +19,6 @@ STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 SETTLE_NS = 5 * NS_PER_MS
-LATE_TICKS = 4  # of a contour's stamps: from the last record to its stamp there are two commands
 
 
 @dataclass(slots=True)
@@ -35,6 +34,9 @@ class _Loaded:
 
 class Start:
     """The one move that the resident program can hold."""
+
+    LATE_TICKS = 4
+    """Of a contour's stamps: from the last record to its stamp there are two commands."""
 
     def __init__(self, device: Device, clock: Clock, options: Options) -> None:
         self._device = device
@@ -92,7 +94,7 @@ class Start:
         if not isinstance(load, Records):
             await session.tell_all(load.commands)
             return
-        await arrays.load(session, load.arrays(phase, tick_ns))
+        await arrays.load(session, load.arrays(phase, tick_ns), load.packets)
         await session.tell(f"DC {fields(load.brakes)}")
         for name, value in load.variables.items():
             await session.tell(f"{name}={value}")
@@ -291,7 +293,7 @@ class Start:
                 by_ns = mapping.host_ns(int(values[0]) + 1 - total + move.samples)
             ended[move.axis] = Span(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
         late = 0 if contour is None else int(values[0] - values[1]) - total
-        if late > LATE_TICKS:
+        if late > self.LATE_TICKS:
             return (
                 f"the contour ended {late} samples late: its records came too slowly; raise the controller's option "
                 "decode_us to what a command of its programs really takes"

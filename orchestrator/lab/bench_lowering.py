@@ -94,9 +94,13 @@ def _yaskawa(adapter: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"adapter": adapter, "link": dict(link), "axes": axes}
 
 
-def _smc4000_records(lowered: Lowered) -> int:
+def _records(lowered: Lowered) -> int:
     words = lowered.commands[0].split()
     return int(words[words.index("of") + 1])
+
+
+def _way(lowered: Lowered) -> str:
+    return "contour" if lowered.commands[0].startswith("contour") else "registers"
 
 
 SUBJECTS = {
@@ -105,16 +109,16 @@ SUBJECTS = {
         port="tcp",
         wire=LAN,
         sample_ns=976_562.5,
-        record_samples=_smc4000_records,
-        way=lambda lowered: "contour" if lowered.commands[0].startswith("contour") else "registers",
+        record_samples=_records,
+        way=_way,
     ),
     "smc2000": Subject(
         config=_yaskawa("smc2000", {"kind": "serial", "device": "/dev/ttyUSB0", "baud": 19200}),
         port="serial",
         wire=serial_wire(19200),
         sample_ns=976_562.5,
-        record_samples=None,
-        way=lambda _: "registers",
+        record_samples=_records,
+        way=_way,
     ),
 }
 
