@@ -2,11 +2,12 @@
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.dialect import MAX_LINE
-from adapters.yaskawa.lowering import LoweredMoves, Records
-from adapters.yaskawa.record import AXIS_LETTERS
+from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records
+from adapters.yaskawa.record import AXIS_LETTERS, Record
 from adapters.yaskawa.start import Start
 
 OPERANDS_OF_LINE = (MAX_LINE - 3) // len('_SPX,",",')
+CONTOUR_END = 51  # of SC (L11427-11493)
 
 
 class SerialStart(Start):
@@ -36,3 +37,10 @@ class SerialStart(Start):
                     raise CannotDo(
                         "read-back", f"{operand} reads back as {value:g}, not {wanted[operand]}", "try again"
                     )
+
+    def _reason(self, move: AxisMove, record: Record) -> tuple[str, str]:
+        """A contour that ST has ended early, after the record that was executed, reads like one that was played."""
+        axis = record.axes[move.index]
+        if move.samples and axis.stop_code == CONTOUR_END and axis.commanded != move.end:
+            return "stopped", f"stopped in the middle of its contour, at {axis.commanded} counts"
+        return super()._reason(move, record)
