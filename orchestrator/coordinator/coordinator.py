@@ -80,7 +80,7 @@ class Coordinator:
         self._leases = LeaseBook(self._view, members, clock, bus, keys, self._log)
         self._motion = Motion(self._view, members, permits, self.throne, clock, court.journal, court.runs, self._log)
         targets = self._motion.targets
-        homing = Homing(self._view, members, permits, targets)
+        homing = Homing(self._view, members, permits, targets, self._motion.stop)
         plain = self._plain = PlainSteps(self._view, members, clock, targets, homing)
         self.runner = Runner(
             bus,

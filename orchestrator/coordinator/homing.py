@@ -1,7 +1,7 @@
 """Finding references: axes in their order, side by side where nothing forbids it, and none after one that failed."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.coordinator.members import Members
@@ -9,12 +9,12 @@ from orchestrator.coordinator.permits import Permits
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.fleet import Fleet, by_controller
-from orchestrator.model.messages import HomeReply, HomeRequest, Refusal, Stop
+from orchestrator.model.messages import HomeReply, HomeRequest, Refusal
 from orchestrator.plan.step import Targets
 
 ANSWER_S = 3.0
-STOP_S = 2.0
 
+StopMembers = Callable[[list[str], str, str, str], Awaitable[None]]
 Progress = Callable[[float, str], None]
 """Told the part that is done, 0 to 1, and what is being done."""
 
@@ -104,13 +104,16 @@ class _Run:
 
 
 class Homing:
-    """Homes axes of the fleet."""
+    """Homes axes of the fleet. stop: stops members, all at once (members, mode, actor, reason)."""
 
-    def __init__(self, view: FleetView, members: Members, permits: Permits, targets: Targets) -> None:
+    def __init__(
+        self, view: FleetView, members: Members, permits: Permits, targets: Targets, stop: StopMembers
+    ) -> None:
         self._view = view
         self._members = members
         self._permits = permits
         self._targets = targets
+        self._stop = stop
 
     async def run(self, axes: list[str] | None, holder: str, actor: str, progress: Progress) -> None:
         """Home `axes`, or the fleet. Raises `Refuse`: which failed and why, and which were left because of it."""
@@ -142,7 +145,7 @@ class Homing:
                 done, _ = await asyncio.wait([*tasks, waiting], return_when=asyncio.FIRST_COMPLETED)
                 lost = guard.lost()
                 if lost is not None:
-                    await self._stop(list(run.busy), actor, lost)
+                    await self._stop(list(run.busy), "decelerate", actor, lost)
                     raise Refuse("permit", lost, "bring it about, then home again")
                 for task in done:
                     if task is not waiting:
@@ -195,11 +198,3 @@ class Homing:
             causes = ", ".join(sorted(set(blocked.values())))
             texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
         return Refuse(why.code, "; ".join(texts), why.remedy, first.partition(".")[0])
-
-    async def _stop(self, controllers: list[str], actor: str, reason: str) -> None:
-        async def ask(controller: str) -> None:
-            fields = self._members.fields(actor)
-            request = Stop(request_id=fields["request_id"], actor=actor, reason=reason)
-            await self._members.ask(controller, "stop", request, HomeReply, STOP_S)
-
-        await asyncio.gather(*(ask(controller) for controller in controllers))
