@@ -17,7 +17,7 @@ from orchestrator.clock.base import Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import Refusal, Term
+from orchestrator.model.messages import Refusal, StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault, StartClass
 
@@ -99,8 +99,9 @@ class Lowered:
     """A step's part as this controller will really execute it. Makes derive their own, with what `arm` needs.
 
     durations_s: by axis, from its start to its end, in host seconds. path_error_counts: largest distance to the
-    plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause.
-    commands: what would be sent, for people.
+    plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause;
+    of a member that waits for a line, the line's own window is among them (name `line`). edge: the same for the edge
+    of the line that it drives, at its terminal. commands: what would be sent, for people.
     """
 
     start_class: StartClass
@@ -110,6 +111,7 @@ class Lowered:
     tick_ns: float
     costs: Costs
     commands: tuple[str, ...]
+    edge: tuple[Term, ...] = field(default=(), kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +186,16 @@ class Setup:
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
+def require_how(how: StartWay, known: Sequence[StartClass], why: str) -> None:
+    """Raises `CannotDo` for a start that a controller with the start classes `known` can not make, because `why`.
+
+    Which line can be waited for or driven is the make's to check.
+    """
+    wanted = "line" if how.wait is not None else how.by
+    if wanted != "auto" and wanted not in known:
+        raise CannotDo("start-class", f"no start by {wanted}: {why}", f"ask for start class {' or '.join(known)}")
+
+
 class Driver(ABC):
     """One controller of a make.
 
@@ -218,17 +230,19 @@ class Driver(ABC):
         return None
 
     @abstractmethod
-    def lower(
-        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
-    ) -> Lowered:
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> Lowered:
         """Turn profiles into what the controller can execute. Pure: the same arguments give the same answer.
 
-        Raises `CannotDo` naming the axis and what would fit.
+        With `how.wait` the move starts when that input becomes active, and with `how.drive` the controller makes that
+        output active at T0 (with or without axes of its own), and passive again later; only after `go`, like a start.
+        Raises `CannotDo` naming the axis and what would fit, code `start-class` for a start that it can not make.
         """
 
     @abstractmethod
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         """Load the move for a start at host instant `t0_ns`, without moving; read it back where the make allows.
+
+        A line that is waited for, or driven, must be passive when the wait begins (code `line-level`).
 
         Gives the stages of arming in ns (`encode`, `wire`, `verify`, …). Raises `CannotDo`; then nothing is armed.
         """

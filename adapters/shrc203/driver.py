@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
 
 from adapters.contract import (
     CannotDo,
@@ -32,6 +31,7 @@ from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 
 _RAMP_NS = NS_PER_S  # the longest ramp of a stop
@@ -95,10 +95,8 @@ class ShrcDriver(Driver):
 
     # A step
 
-    def lower(
-        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
-    ) -> ShrcLowered:
-        return lower(self._config, self._options, self._costs, profiles, start)
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> ShrcLowered:
+        return lower(self._config, self._options, self._costs, profiles, how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, ShrcLowered)

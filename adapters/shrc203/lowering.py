@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-from adapters.contract import CannotDo, Lowered
+from adapters.contract import CannotDo, Lowered, require_how
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
 from adapters.shrc203.options import Options
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.fleet import Axis, Controller
-from orchestrator.model.messages import Term
+from orchestrator.model.messages import StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
@@ -45,11 +45,10 @@ def lower(
     options: Options,
     costs: Costs,
     profiles: Mapping[str, Profile],
-    start: Literal["auto", "clock", "host"],
+    how: StartWay,
 ) -> ShrcLowered:
     """Lower all axes of a step. Raises `CannotDo`."""
-    if start == "clock":
-        raise CannotDo("start-class", "the SHRC-203 has no readable clock to start by", "use `start: host` or `auto`")
+    require_how(how, ("host",), "the SHRC-203 has no readable clock to start by")
     moves = tuple(
         sorted((_move(name, config.axes[name], each) for name, each in profiles.items()), key=lambda each: each.motor)
     )

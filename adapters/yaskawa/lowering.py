@@ -9,9 +9,8 @@ made by the registers all the same, and its durations say how far they are off.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
-from adapters.contract import CannotDo, Lowered
+from adapters.contract import CannotDo, Lowered, require_how
 from adapters.yaskawa import arrays
 from adapters.yaskawa.contour import Contour, Room, fit_contour, increments, least_interval
 from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
@@ -22,7 +21,7 @@ from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import Term
+from orchestrator.model.messages import StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
@@ -33,6 +32,7 @@ STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan
 SKEW_SAMPLES = 10.0  # and be so far from its plan on the way, at its peak speed,
 NEAR_COUNTS = 2.0  # or so many counts
 HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
+READING_NS = NS_PER_S  # the last reading of the clock is not older than this when arming begins
 LOOP_SPREAD = 2.0  # how much longer a command may take: what expressions add is not stated (L1626)
 
 
@@ -144,7 +144,7 @@ def lower_moves(
     options: Options,
     costs: Costs,
     profiles: Mapping[str, Profile],
-    start: Literal["auto", "clock", "host"],
+    how: StartWay,
     mapping: TickMapping | None,
     model: Model = SMC4000,
     packets: arrays.Packets = arrays.PACKETS,
@@ -153,12 +153,7 @@ def lower_moves(
 
     Where uploads are slow, trapezoids are made by the registers, however far they are off.
     """
-    if start == "host":
-        raise CannotDo(
-            "start-class",
-            "this controller starts at an instant of its own clock, which is never worse than a command from the host",
-            "ask for start class `auto` or `clock`",
-        )
+    require_how(how, ("clock",), "its own clock is never worse than a command from the host")
     if mapping is None:
         raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
     tick_ns = mapping.tick_ns
@@ -184,7 +179,7 @@ def lower_moves(
                 raise
             load = _registers(shapes, way, motors)
             note = (f"({why}; no contour: {refusal})",)
-    return _promise(load, note, profiles, motors, options, costs, mapping)
+    return _promise(load, note, profiles, motors, options, costs, how, mapping)
 
 
 def _by_registers(
@@ -298,6 +293,7 @@ def _promise(
     motors: Mapping[str, int],
     options: Options,
     costs: Costs,
+    how: StartWay,
     mapping: TickMapping,
 ) -> LoweredMoves:
     tick_ns = mapping.tick_ns
@@ -329,10 +325,8 @@ def _promise(
     )
     # An axis that stands still is not begun; the time it is given has no meaning.
     mask = sum(1 << move.index for move in moves if move.samples)
-    lead_ns = round(options.lead_s * NS_PER_S)
-    if isinstance(load, Records) and isinstance(load.packets, arrays.SlowUpload):
-        # The clock is read again on the way, but what is armed keeps the reading from before.
-        lead_ns += loading_ns
+    # The clock is read again while arming, but what is armed keeps the reading from before.
+    lead_ns = how.lead_ns + READING_NS if how.lead_ns else round(options.lead_s * NS_PER_S) + loading_ns
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + lead_ns)
     first, last = begin_ticks(options, tick_ns)
     half_tick_ns = math.ceil(tick_ns / 2)

@@ -38,6 +38,7 @@ from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, Input, Output, SerialLink
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
@@ -189,9 +190,7 @@ class SMC2000Driver(Driver):
 
     # A step
 
-    def lower(
-        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
-    ) -> Lowered:
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> Lowered:
         costs = self.capabilities.costs
         upload = SlowUpload(
             smc2000_program.arrays(sorted(self._motors.values())),
@@ -201,9 +200,7 @@ class SMC2000Driver(Driver):
             self._char_ns,
             self._options.contour_upload_s,
         )
-        return lower_moves(
-            self._config, self._motors, self._costly, costs, profiles, start, mapping, self._model, upload
-        )
+        return lower_moves(self._config, self._motors, self._costly, costs, profiles, how, mapping, self._model, upload)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, LoweredMoves):

@@ -41,6 +41,7 @@ from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs, Fault
 
@@ -173,12 +174,8 @@ class SMC4000Driver(Driver):
 
     # A step
 
-    def lower(
-        self, profiles: Mapping[str, Profile], start: Literal["auto", "clock", "host"], mapping: TickMapping | None
-    ) -> Lowered:
-        return lower_moves(
-            self._config, self._motors, self._options, self._capabilities.costs, profiles, start, mapping
-        )
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> Lowered:
+        return lower_moves(self._config, self._motors, self._options, self._capabilities.costs, profiles, how, mapping)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         if not isinstance(lowered, LoweredMoves):

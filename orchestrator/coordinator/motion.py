@@ -27,6 +27,7 @@ from orchestrator.model.messages import (
     Proposal,
     Propose,
     Reply,
+    StartWay,
     StepRef,
     Stop,
 )
@@ -49,7 +50,7 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class _Step:
-    """A step under way."""
+    """A step under way. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long."""
 
     job_id: str
     index: int
@@ -57,6 +58,7 @@ class _Step:
     resolved: Resolved
     plan: Plan
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
+    lead_ns: int = 0
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None
     t0_fleet_ns: int = 0
@@ -176,7 +178,7 @@ class Motion:
         return _Step(job_id, index, job.actor, resolved, plan)
 
     async def _propose(self, moving: _Step, job: Job, step: Move) -> None:
-        """At most three rounds: T becomes the longest answer, until all can make it."""
+        """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
         allowed_ns = step.max_end_skew or job.max_end_skew
         durations: dict[str, float] = {}
         for _ in range(ROUNDS):
@@ -186,10 +188,13 @@ class Motion:
                 for member, proposal in moving.proposals.items()
                 for axis, took_s in proposal.durations_s.items()
             }
-            longest_s = max(durations.values())
-            if step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9):
+            longest_s, lead_ns = max(durations.values()), _lead_ns(moving)
+            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9)
+            if in_time and lead_ns <= moving.lead_ns:
                 break
-            moving.plan = moving.plan.stretched(longest_s)
+            moving.lead_ns = max(lead_ns, moving.lead_ns)
+            if not in_time:
+                moving.plan = moving.plan.stretched(longest_s)
         if step.sync != "none":
             worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
             off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
@@ -218,12 +223,15 @@ class Motion:
                 digest=self._view.fleet.controllers[member].digest,
                 duration_s=moving.plan.duration_s,
                 profiles=moving.profiles(member),
-                start=step.start,
+                start=self._start_way(moving, step),
             )
             for member in members
         }
         moving.proposals = await self._ask_all("propose", requests, Proposal)
         self._refuse_if_any(moving.proposals)
+
+    def _start_way(self, moving: _Step, step: Move) -> StartWay:
+        return StartWay(by=step.start, lead_ns=moving.lead_ns)
 
     # Arm, commit, go
 
@@ -234,11 +242,14 @@ class Motion:
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
     ) -> None:
-        arming_ns = max(proposal.costs.arm_ns for proposal in moving.proposals.values() if proposal.costs)
         disarm_ns = max(proposal.costs.disarm_ns for proposal in moving.proposals.values() if proposal.costs)
         for growth in LEAD_GROWTH:
             await on_state("arming", "")
-            moving.t0_fleet_ns = self._throne.fleet_now_ns() + growth * (arming_ns + MARGIN_NS) + disarm_ns
+            if growth > 1:
+                # Clocks have to hold for longer now.
+                moving.lead_ns = growth * _lead_ns(moving)
+                await self._propose_once(moving, step)
+            moving.t0_fleet_ns = self._throne.fleet_now_ns() + moving.lead_ns
             await self._arm(moving, step)
             # Commit and go need their time too, and after it a failure must still leave time to disarm.
             if self._throne.fleet_now_ns() + MARGIN_NS // 2 + disarm_ns < moving.t0_fleet_ns:
@@ -275,7 +286,7 @@ class Motion:
                 digest=self._view.fleet.controllers[member].digest,
                 t0_fleet_ns=moving.t0_fleet_ns,
                 profiles=moving.profiles(member),
-                start=step.start,
+                start=self._start_way(moving, step),
             )
             for member in moving.proposals
         }
@@ -446,3 +457,9 @@ class Motion:
         for reply in replies.values():
             if reply.refused is not None:
                 raise refuse(reply.refused)
+
+
+def _lead_ns(moving: _Step) -> int:
+    """How far ahead of the arming T0 must be, by what the members say."""
+    costs = [proposal.costs for proposal in moving.proposals.values() if proposal.costs is not None]
+    return max(each.arm_ns for each in costs) + MARGIN_NS + max(each.disarm_ns for each in costs)

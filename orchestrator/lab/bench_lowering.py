@@ -20,6 +20,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import Motion, SimulatedController, Timing
@@ -239,7 +240,7 @@ async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowere
     driver = world.driver
     await driver.poll()
     mapping = world.mapping()
-    lowered = driver.lower(profiles, "auto", mapping)
+    lowered = driver.lower(profiles, StartWay(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
     await driver.arm(lowered, t0_ns, mapping)
     await driver.verify()
@@ -345,7 +346,7 @@ def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int
         at = 0
         for number in range(count):
             profile = _trapezoid(at, low, high, draw)
-            lowered = world.driver.lower({"a": profile}, "auto", world.mapping())
+            lowered = world.driver.lower({"a": profile}, StartWay(), world.mapping())
             way = subject.way(lowered)
             found.ways[way] = found.ways.get(way, 0) + 1
             found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)

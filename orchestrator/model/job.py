@@ -6,6 +6,7 @@ from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
+from orchestrator.model.state import StartWish
 from orchestrator.model.units import Quantity
 
 UNKNOWN_ACTOR = "unknown"
@@ -32,7 +33,7 @@ class Move(StepBase):
     ramps: Literal["common", "own"] = Field(
         default="common", description="Trapezoids under `sync: time`: one ramp time for all, or each its steepest."
     )
-    start: Literal["auto", "clock", "host"] = Field(default="auto", description="Start class to use, if not the best.")
+    start: StartWish = Field(default="auto", description="Start class to use, if not the best.")
     max_start_skew: Duration | None = Field(default=None, description="Overrides the job's.")
     max_end_skew: Duration | None = Field(default=None, description="Overrides the job's.")
 

@@ -4,9 +4,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from orchestrator.model.base import HostNs, Int53, Model
+from orchestrator.model.base import HostNs, Id, Int53, Model
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import ClockMapping, Costs, StartClass
+from orchestrator.model.state import ClockMapping, Costs, StartClass, StartWish
 from orchestrator.model.units import Quantity
 
 
@@ -78,19 +78,51 @@ class StepRef(Fenced):
     step: int
 
 
+class LineWait(Model):
+    """Start when a wired line becomes active.
+
+    input: the member's own, by name. The edge is at its terminal between T0 + earliest_ns and T0 + latest_ns.
+    """
+
+    input: Id
+    earliest_ns: Int53
+    latest_ns: Int53
+
+
+class LineDrive(Model):
+    """Make a wired line active at T0, and passive again once it has been so for `hold_ns`. output: own, by name."""
+
+    output: Id
+    hold_ns: Int53 = 100_000_000
+
+
+class StartWay(Model):
+    """How a member is to start.
+
+    by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far ahead T0 will be when arming
+    begins, 0 if that is not known yet: what is promised of clocks is promised for so long. drive: a member may drive
+    a line and move axes as well, or only drive it (no profiles).
+    """
+
+    by: StartWish = "auto"
+    lead_ns: Int53 = 0
+    wait: LineWait | None = None
+    drive: LineDrive | None = None
+
+
 class Propose(StepRef):
     """Can you make these profiles? `digest` is the configuration that the coordinator believes in."""
 
     digest: str
     duration_s: float
     profiles: dict[str, Profile]
-    start: Literal["auto", "clock", "host"] = "auto"
+    start: StartWay = StartWay()
 
 
 class Term(Model):
     """One term of a budget: the start lies between T0 + earliest_ns and T0 + latest_ns because of it."""
 
-    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation"]
+    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "line", "input"]
     earliest_ns: Int53
     latest_ns: Int53
 
@@ -104,6 +136,7 @@ class Proposal(Reply):
     start_class: StartClass = "host"
     tick_ns: float = 0.0
     terms: list[Term] = Field(default=[])
+    edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
     commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
 
 
@@ -113,7 +146,7 @@ class Arm(StepRef):
     digest: str
     t0_fleet_ns: Int53
     profiles: dict[str, Profile]
-    start: Literal["auto", "clock", "host"] = "auto"
+    start: StartWay = StartWay()
 
 
 class Armed(Reply):

@@ -9,6 +9,7 @@ from orchestrator.model.base import HostNs, Id, Int53, Model, Rational
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
 StartClass = Literal["clock", "line", "sync", "host"]
+StartWish = Literal["auto", "clock", "line", "sync", "host"]
 
 
 EventKind = Literal[

@@ -363,8 +363,9 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
         await outcome(fleet, PREPARE)
         before = {each: len(controller.motions) for each, controller in fleet.controllers.items()}
         moving = await client.submit(TEN_S)
-        while (await client.status())[name].mode != state:
-            await asyncio.sleep(0.002)
+        async with asyncio.timeout(10.0):
+            while (await client.status())[name].mode != state:
+                await asyncio.sleep(0.002)
         if state == "moving":
             await asyncio.sleep(1.0)
         fault_ns = fleet.clock.now_ns()

@@ -15,6 +15,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import Branch, SimulatedController, Timing, build_line
@@ -184,7 +185,7 @@ class World:
     async def arm(self, profiles: Mapping[str, Profile]) -> tuple[Lowered, int]:
         """Lowered and loaded; with T0, which is as near as the make allows."""
         mapping = self.driver.mapping()
-        lowered = self.driver.lower(profiles, "auto", mapping)
+        lowered = self.driver.lower(profiles, StartWay(), mapping)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
         await self.driver.arm(lowered, t0_ns, mapping)
         return lowered, t0_ns

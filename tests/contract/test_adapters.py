@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from typing import get_args
 
 import pytest
 from adapter_worlds import CASES, World, evidence_holds, motions, run
@@ -9,6 +10,8 @@ from adapter_worlds import CASES, World, evidence_holds, motions, run
 from adapters.contract import CannotDo, DriverFault, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.messages import StartWay
+from orchestrator.model.state import StartClass
 
 pytestmark = pytest.mark.parametrize("name", CASES)
 
@@ -84,14 +87,15 @@ def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         profiles, mapping = await world.plan(targets(world)), world.driver.mapping()
-        assert world.driver.lower(profiles, "auto", mapping) == world.driver.lower(profiles, "auto", mapping)
-        assert world.driver.lower(profiles, "auto", mapping).commands
-        for start in ("clock", "host"):
-            if start in world.driver.capabilities.start_classes:
-                assert world.driver.lower(profiles, start, mapping).start_class == start
+        assert world.driver.lower(profiles, StartWay(), mapping) == world.driver.lower(profiles, StartWay(), mapping)
+        assert world.driver.lower(profiles, StartWay(), mapping).commands
+        for by in set(get_args(StartClass)) - {"line"}:  # which needs a wire
+            if by in world.driver.capabilities.start_classes:
+                assert world.driver.lower(profiles, StartWay(by=by), mapping).start_class == by
             else:
                 with pytest.raises(CannotDo) as caught:
-                    world.driver.lower(profiles, start, mapping)
+                    world.driver.lower(profiles, StartWay(by=by), mapping)
+                assert caught.value.refusal.code == "start-class"
                 assert caught.value.refusal.remedy
         assert not world.controller.motions
 
@@ -231,7 +235,7 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
         await world.ready()
         profiles = await world.plan(targets(world))
         mapping = world.driver.mapping()
-        lowered = world.driver.lower(profiles, "auto", mapping)
+        lowered = world.driver.lower(profiles, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + 3 * NS_PER_S
         if call == "verify":
             await world.driver.arm(lowered, t0_ns, mapping)

@@ -16,6 +16,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import Motion, SimulatedController, Timing
 from sim.core.oscillator import Oscillator
@@ -61,7 +62,7 @@ class Bench:
             AxisMove(name, reading.axes[name].commanded_counts, target, 100_000.0, 500_000.0)
             for name, target in targets.items()
         ]
-        lowered = self.driver.lower(plan_step(moves).profiles, "auto", None)
+        lowered = self.driver.lower(plan_step(moves).profiles, StartWay(), None)
         t0_ns = self.clock.now_ns() + lead_ns
         await self.driver.arm(lowered, t0_ns, None)
         return t0_ns

@@ -16,6 +16,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from sim.core.controller import Branch, SimulatedController, Timing
 from sim.core.oscillator import Oscillator
@@ -63,7 +64,7 @@ class World:
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.8) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
         driver, mapping = self.driver, self.driver.mapping()
-        lowered = driver.lower(profiles, "auto", mapping)
+        lowered = driver.lower(profiles, StartWay(), mapping)
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
         await driver.arm(lowered, t0_ns, mapping)
         await driver.verify()

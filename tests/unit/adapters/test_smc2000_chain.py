@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.files import FileError
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import StartWay
 
 
 @pytest.mark.parametrize("first", range(0, 200, 25))
@@ -134,7 +135,7 @@ def test_a_unit_is_disarmed_while_the_others_go():
         mappings = {address: driver.mapping() for address, driver in world.drivers.items()}
         t0_ns = world.clock.now_ns() + 2 * NS_PER_S
         for address, driver in world.drivers.items():
-            lowered[address] = driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mappings[address])
+            lowered[address] = driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mappings[address])
         await asyncio.gather(*(world.drivers[a].arm(lowered[a], t0_ns, mappings[a]) for a in lowered))
         await world.drivers[1].disarm()
         with pytest.raises(CannotDo):

@@ -14,6 +14,7 @@ from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.smc2000_program import LETTERS, arrays, program, variables
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -34,7 +35,7 @@ def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[s
 async def armed(world: World, profiles: dict[str, Profile]) -> tuple[Any, int]:
     """Armed with the lead that was declared."""
     mapping = world.driver.mapping()
-    lowered = world.driver.lower(profiles, "auto", mapping)
+    lowered = world.driver.lower(profiles, StartWay(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
     await world.driver.arm(lowered, t0_ns, mapping)
     assert world.clock.now_ns() < t0_ns - lowered.costs.disarm_ns
@@ -123,7 +124,7 @@ def test_the_declared_time_is_what_arming_takes_at_the_most_and_not_much_more(ho
         await world.ready()
         for ends in ({"x": (0, 90_000)}, {"x": (0, -200_000), "y": (0, 300_000)}):
             mapping = world.driver.mapping()
-            lowered = world.driver.lower(jerked(ends), "auto", mapping)
+            lowered = world.driver.lower(jerked(ends), StartWay(), mapping)
             began_ns = world.clock.now_ns()
             t0_ns = began_ns + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
             await world.driver.arm(lowered, t0_ns, mapping)
@@ -300,11 +301,11 @@ def test_an_upload_that_is_too_long_says_what_would_fit(options: dict[str, Any],
         await world.driver.poll()
         profiles = jerked({"x": (0, 600_000), "y": (0, 200_000)})
         if words is None:
-            lowered = world.driver.lower(profiles, "auto", world.driver.mapping())
+            lowered = world.driver.lower(profiles, StartWay(), world.driver.mapping())
             assert re.search(r"records of (16|32|64) samples", lowered.commands[0])
             return
         with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(profiles, "auto", world.driver.mapping())
+            world.driver.lower(profiles, StartWay(), world.driver.mapping())
         assert refusal.value.refusal.code == "upload-too-long"
         text = f"{refusal.value.refusal.text} {refusal.value.refusal.remedy}"
         assert re.search(words, text), text
@@ -318,7 +319,7 @@ def test_trapezoids_go_by_the_registers_however_far_they_are_off():
         await world.driver.poll()
         for speed in (30.0, 700.0, 20_000.0):
             profiles = {"x": trapezoid(0, round(3 * speed), speed, 2 * speed)}
-            lowered = world.driver.lower(profiles, "auto", world.driver.mapping())
+            lowered = world.driver.lower(profiles, StartWay(), world.driver.mapping())
             assert lowered.commands[0].startswith("PA")
 
     run(main)
@@ -329,7 +330,7 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
         await world.ready()
         driver = world.drivers[1]
         mapping = driver.mapping()
-        lowered = driver.lower(jerked({"x": (0, 50_000)}), "auto", mapping)
+        lowered = driver.lower(jerked({"x": (0, 50_000)}), StartWay(), mapping)
         longest_ns = 0
 
         async def polls() -> None:

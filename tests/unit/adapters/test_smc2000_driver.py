@@ -7,6 +7,7 @@ from unit.adapters.test_smc2000_bench import World, run, trapezoid
 
 from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 
 
@@ -72,7 +73,7 @@ def test_the_gate_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
         await world.driver.arm(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
@@ -94,7 +95,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 90_000, 900_000)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
         await world.driver.arm(lowered, t0_ns, mapping)
         await world.driver.go()
@@ -114,7 +115,7 @@ def test_disarmed_and_reconnected_units_do_not_start():
         await world.ready()
         for way in ("disarm", "reconnect"):
             mapping = world.driver.mapping()
-            lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mapping)
+            lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
             t0_ns = world.clock.now_ns() + NS_PER_S
             await world.driver.arm(lowered, t0_ns, mapping)
             await world.driver.go()

@@ -13,6 +13,7 @@ from adapters.contract import CannotDo, DriverFault, JogMove
 from adapters.yaskawa.smc4000 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import Timing
@@ -32,7 +33,7 @@ def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[s
 
 async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5) -> tuple[Any, int]:
     mapping = world.driver.mapping()
-    lowered = world.driver.lower(profiles, "auto", mapping)
+    lowered = world.driver.lower(profiles, StartWay(), mapping)
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
     await world.driver.arm(lowered, t0_ns, mapping)
     return lowered, t0_ns
@@ -464,11 +465,11 @@ def test_what_does_not_fit_says_what_would(
         await world.driver.connect()
         await world.driver.poll()
         if code is None:
-            lowered = world.driver.lower(jerked(way), "auto", world.driver.mapping())
+            lowered = world.driver.lower(jerked(way), StartWay(), world.driver.mapping())
             assert "records of 256 samples" in lowered.commands[0]
             return
         with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(jerked(way), "auto", world.driver.mapping())
+            world.driver.lower(jerked(way), StartWay(), world.driver.mapping())
         assert refusal.value.refusal.code == code
         text = f"{refusal.value.refusal.text} {refusal.value.refusal.remedy}"
         assert re.search(words, text), text
@@ -482,7 +483,7 @@ def test_a_speed_beyond_what_a_record_can_hold_is_refused():
         await world.driver.poll()
         fast = dict(plan_step([AxisMove("x", 0, 10**8, 9e6, 6e7, 1e9, order=3)]).profiles)
         with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(fast, "auto", world.driver.mapping())
+            world.driver.lower(fast, StartWay(), world.driver.mapping())
         assert refusal.value.refusal.code == "record-range"
         assert "axis x" in refusal.value.refusal.text
         assert "at most 4095" in refusal.value.refusal.remedy

@@ -8,12 +8,13 @@ from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoi
 from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.messages import StartWay
 
 
 async def armed(world: World, lead_s: float = 1.0) -> int:
     """A move of 5 mm, loaded."""
     mapping = world.driver.mapping()
-    lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", mapping)
+    lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
     await world.driver.arm(lowered, t0_ns, mapping)
     return t0_ns
@@ -244,7 +245,7 @@ def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, ramp)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, ramp)}, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
         await world.driver.arm(lowered, t0_ns, mapping)
         await world.driver.go()
@@ -314,7 +315,7 @@ def test_a_moving_controller_is_connected_to_without_being_stopped():
 def test_refusals_before_anything_moves():
     async def main(world: World) -> None:
         with pytest.raises(CannotDo) as refusal:
-            world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, "auto", None)
+            world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), None)
         assert refusal.value.refusal.code == "no-clock"
         await world.ready()
         mapping = world.driver.mapping()

@@ -15,6 +15,7 @@ from adapters.yaskawa.smc4000 import MAKE
 from adapters.yaskawa.trapezoid import Bounds, fit
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 
 
@@ -123,7 +124,7 @@ def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
         await world.driver.arm(lowered, t0_ns, mapping)
         await world.driver.go()
@@ -141,7 +142,7 @@ def test_a_stop_goes_out_by_the_other_handle_when_its_own_is_closed():
     async def main(world: World) -> None:
         await world.ready()
         mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, "auto", mapping)
+        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartWay(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
         await world.driver.arm(lowered, t0_ns, mapping)
         await world.driver.go()
