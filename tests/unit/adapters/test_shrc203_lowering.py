@@ -14,6 +14,7 @@ from adapters.shrc203.options import Options
 from adapters.shrc203.replies import STATUS, status
 from adapters.shrc203.trapezoid import Bounds, Trapezoid, fit
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -27,7 +28,7 @@ def controller(**axis: Any) -> Controller:
 
 def lowered(config: Controller, profile: Profile) -> ShrcLowered:
     options = Options()
-    return lower(config, options, costs(options, 260_000), {"x": profile}, "auto")
+    return lower(config, options, costs(options, 260_000), {"x": profile}, StartWay())
 
 
 def test_the_worked_example() -> None:
@@ -97,7 +98,7 @@ def test_refusals_name_axis_and_what_would_fit() -> None:
     options = Options()
     profile = plan_step([AxisMove("x", 0, 30_000, 200_000.0, 1_000_000.0)]).profiles["x"]
     with pytest.raises(CannotDo, match="clock"):
-        lower(config, options, costs(options, 0), {"x": profile}, "clock")
+        lower(config, options, costs(options, 0), {"x": profile}, StartWay(by="clock"))
 
 
 @pytest.mark.parametrize(

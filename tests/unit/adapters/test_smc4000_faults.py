@@ -320,8 +320,8 @@ def test_refusals_before_anything_moves():
         await world.ready()
         mapping = world.driver.mapping()
         for code, profile, start in (
-            ("start-class", trapezoid(0, 5000, 20_000, 200_000), "host"),
-            ("too-far", trapezoid(0, 2**31, 20_000, 200_000), "auto"),
+            ("start-class", trapezoid(0, 5000, 20_000, 200_000), StartWay(by="host")),
+            ("too-far", trapezoid(0, 2**31, 20_000, 200_000), StartWay()),
         ):
             with pytest.raises(CannotDo) as refusal:
                 world.driver.lower({"x": profile}, start, mapping)

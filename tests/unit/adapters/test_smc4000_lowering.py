@@ -16,6 +16,7 @@ from adapters.yaskawa.options import Options
 from adapters.yaskawa.trapezoid import Bounds, fit
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 from orchestrator.plan.step import AxisMove, plan_step
@@ -32,7 +33,7 @@ def mapping(tick_ns: float = TICK_NS) -> TickMapping:
 
 def lower(profiles: Mapping[str, Profile], tick_ns: float = TICK_NS, **options: Any) -> LoweredMoves:
     motors = {"x": 0, "y": 1}
-    return lower_moves(CONFIG, motors, Options(**options), COSTS, profiles, "auto", mapping(tick_ns))
+    return lower_moves(CONFIG, motors, Options(**options), COSTS, profiles, StartWay(), mapping(tick_ns))
 
 
 def random_plans(draw: Random, order: int, slowest: float = 10.0) -> dict[str, Profile]:
@@ -149,11 +150,11 @@ def test_a_plan_at_its_limits_is_held_by_the_registers_and_answered_with_the_tim
         }
     )
     profile = trapezoid(0, 100_000, 30_001.0, 300_500.0)
-    lowered = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": profile}, "auto", mapping())
+    lowered = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": profile}, StartWay(), mapping())
     assert isinstance(lowered.load, Registers)
     assert 0 < lowered.durations_s["x"] - profile.duration_s < 1e-3 * profile.duration_s
     again = profile.stretched(lowered.durations_s["x"] / profile.duration_s)
-    second = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": again}, "auto", mapping())
+    second = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": again}, StartWay(), mapping())
     assert second.durations_s["x"] == pytest.approx(again.duration_s, abs=2e-4)
 
 
