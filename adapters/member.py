@@ -109,8 +109,10 @@ class Member:
             self._check(request)
             began_ns = self._clock.now_ns()
             scale, mapping = self._scale(), self._driver.mapping()
-            lowered = self._driver.lower(request.profiles, request.start, mapping)
             t0_ns = scale.host_ns(request.t0_fleet_ns)
+            lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
+            how = request.start.model_copy(update={"lead_ns": lead_ns})
+            lowered = self._driver.lower(request.profiles, how, mapping)
             if began_ns + lowered.costs.disarm_ns >= t0_ns:
                 raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
             interruptions = self._interruptions
@@ -126,6 +128,8 @@ class Member:
             self.ticket = ticket
             self._spawn(self._expire(ticket))
             return Armed(
+                terms=list(lowered.terms),
+                edge=list(lowered.edge),
                 mapping=None if mapping is None else clock_mapping(self._controller, mapping),
                 took_ns=self._clock.now_ns() - began_ns,
                 stages_ns=dict(stages),

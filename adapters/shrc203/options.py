@@ -36,6 +36,10 @@ class Options(BaseModel):
     start_after_ok_us: Micro = Field(
         default=0, description="How long after sending OK to the starting line the motion may begin at the most."
     )
+    input_scan_us: Micro = Field(default=1000, description="Longest time until a changed input is seen.")
+    line_start_us: Micro = Field(
+        default=1000, description="How long after that the motion of a line start may begin at the most."
+    )
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for a motion that it has found."
     )

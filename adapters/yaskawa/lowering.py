@@ -18,7 +18,7 @@ from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
 from adapters.yaskawa.registers import exact_ramp
 from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
-from orchestrator.clock.base import NS_PER_S, NS_PER_US
+from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay, Term
@@ -32,7 +32,6 @@ STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan
 SKEW_SAMPLES = 10.0  # and be so far from its plan on the way, at its peak speed,
 NEAR_COUNTS = 2.0  # or so many counts
 HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
-READING_NS = NS_PER_S  # the last reading of the clock is not older than this when arming begins
 LOOP_SPREAD = 2.0  # how much longer a command may take: what expressions add is not stated (L1626)
 
 
@@ -50,11 +49,10 @@ class AxisMove:
 
 @dataclass(frozen=True, slots=True)
 class LoweredMoves(Lowered):
-    """What arming needs beyond the contract. drift_bound_ns: the clock's error that the terms allow for."""
+    """What arming needs beyond the contract."""
 
     moves: tuple[AxisMove, ...]
     mask: int
-    drift_bound_ns: int
     load: "Registers | Records"
 
     @property
@@ -325,9 +323,7 @@ def _promise(
     )
     # An axis that stands still is not begun; the time it is given has no meaning.
     mask = sum(1 << move.index for move in moves if move.samples)
-    # The clock is read again while arming, but what is armed keeps the reading from before.
-    lead_ns = how.lead_ns + READING_NS if how.lead_ns else round(options.lead_s * NS_PER_S) + loading_ns
-    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + lead_ns)
+    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + how.lead_ns)
     first, last = begin_ticks(options, tick_ns)
     half_tick_ns = math.ceil(tick_ns / 2)
     contour = isinstance(load, Records)
@@ -351,7 +347,6 @@ def _promise(
         commands=(*load.commands, f"XQ {entry(mask, contour)},0  (waits for T0, then {begin})", *note),
         moves=moves,
         mask=mask,
-        drift_bound_ns=bound_ns,
         load=load,
     )
 

@@ -30,12 +30,6 @@ class Options(Model):
     round_trip_us: Microseconds = Field(
         default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
     )
-    lead_s: float = Field(
-        default=5.0,
-        gt=0,
-        le=60,
-        description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
-    )
     array_elements: int = Field(
         default=15000,
         ge=100,

@@ -26,12 +26,6 @@ class Smc2000Options(Options):
         le=60,
         description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s.",
     )
-    lead_s: float = Field(
-        default=10.0,
-        gt=0,
-        le=60,
-        description="Time from the last reading of the clock to the start that drift is budgeted for, s.",
-    )
     array_elements: int = Field(
         default=8000, ge=100, le=8000, description="Elements of the controller's arrays that contours may take (L8261)."
     )

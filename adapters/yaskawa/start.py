@@ -50,13 +50,6 @@ class Start:
         """Load the registers, read them back, and let the program wait behind its gate."""
         if mapping is None:
             raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
-        if mapping.bound_at_ns(t0_ns) > lowered.drift_bound_ns:
-            raise CannotDo(
-                "clock-drift",
-                f"the start is {(t0_ns - mapping.host_at_ns) * 1e-9:.1f} s ahead; by then the clock may be off by more "
-                f"than the {lowered.drift_bound_ns * 1e-6:.3f} ms that were promised",
-                "start sooner, or raise the controller's option lead_s",
-            )
         began_ns = self._clock.now_ns()
         first, _ = begin_ticks(self._options, mapping.tick_ns)
         ticks = round(mapping.ticks(t0_ns)) - first

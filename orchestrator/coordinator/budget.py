@@ -3,19 +3,19 @@
 from collections.abc import Iterable, Mapping
 from typing import Literal
 
-from orchestrator.model.messages import Proposal
+from orchestrator.model.messages import Armed, Proposal
 from orchestrator.model.report import Budget, MemberBudget, Skew
 from orchestrator.model.state import Interval
 
 
-def make_budget(proposals: Mapping[str, Proposal], allowed_ns: int) -> Budget:
-    """The guaranteed spread of starts about T0, and the member and term that make it worst."""
+def make_budget(said: Mapping[str, Proposal] | Mapping[str, Armed], allowed_ns: int) -> Budget:
+    """The guaranteed spread of starts about T0, and the member and term that make it worst; by what members say."""
     members: dict[str, MemberBudget] = {}
-    for name, proposal in proposals.items():
+    for name, each in said.items():
         members[name] = MemberBudget(
-            terms=proposal.terms,
-            earliest_ns=sum(term.earliest_ns for term in proposal.terms),
-            latest_ns=sum(term.latest_ns for term in proposal.terms),
+            terms=each.terms,
+            earliest_ns=sum(term.earliest_ns for term in each.terms),
+            latest_ns=sum(term.latest_ns for term in each.terms),
         )
     # The axes of one controller that start together differ by no more than its own window.
     predicted_ns = max(m.latest_ns for m in members.values()) - min(m.earliest_ns for m in members.values())

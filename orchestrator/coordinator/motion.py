@@ -45,6 +45,8 @@ STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it 
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
+READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
+
 T = TypeVar("T")
 
 
@@ -205,7 +207,13 @@ class Motion:
                     "move further or faster, or allow more with `max_end_skew`",
                     worst.partition(".")[0],
                 )
-        moving.budget = budget = make_budget(moving.proposals, step.max_start_skew or job.max_start_skew)
+        self._judge(moving, moving.proposals, job, step)
+
+    def _judge(
+        self, moving: _Step, members: Mapping[str, Proposal] | Mapping[str, Armed], job: Job, step: Move
+    ) -> None:
+        """The budget by what the members say now. Raises `Refuse` if it is not within what the job allows."""
+        moving.budget = budget = make_budget(members, step.max_start_skew or job.max_start_skew)
         if budget.predicted_ns > budget.allowed_ns and len(moving.plan.profiles) > 1:
             raise Refuse(
                 "start-skew",
@@ -231,7 +239,7 @@ class Motion:
         self._refuse_if_any(moving.proposals)
 
     def _start_way(self, moving: _Step, step: Move) -> StartWay:
-        return StartWay(by=step.start, lead_ns=moving.lead_ns)
+        return StartWay(by=step.start, lead_ns=moving.lead_ns + READING_NS)
 
     # Arm, commit, go
 
@@ -251,6 +259,7 @@ class Motion:
                 await self._propose_once(moving, step)
             moving.t0_fleet_ns = self._throne.fleet_now_ns() + moving.lead_ns
             await self._arm(moving, step)
+            await self._judge_frozen(moving, job, step)
             # Commit and go need their time too, and after it a failure must still leave time to disarm.
             if self._throne.fleet_now_ns() + MARGIN_NS // 2 + disarm_ns < moving.t0_fleet_ns:
                 break
@@ -296,6 +305,14 @@ class Motion:
         }
         moving.armed = await self._ask_all("arm", requests, Armed, max(timeout_s.values()))
         await self._disarm_if_refused(moving, moving.armed)
+
+    async def _judge_frozen(self, moving: _Step, job: Job, step: Move) -> None:
+        """Once more, with the clock mappings that are frozen into what is armed."""
+        try:
+            self._judge(moving, moving.armed, job, step)
+        except Refuse:
+            await self._disarm(moving)
+            raise
 
     async def _commit(self, moving: _Step) -> None:
         requests = {member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_fleet_ns) for member in moving.proposals}

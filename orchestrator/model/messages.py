@@ -99,9 +99,9 @@ class LineDrive(Model):
 class StartWay(Model):
     """How a member is to start.
 
-    by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far ahead T0 will be when arming
-    begins, 0 if that is not known yet: what is promised of clocks is promised for so long. drive: a member may drive
-    a line and move axes as well, or only drive it (no profiles).
+    by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far T0 is ahead of the last reading
+    of the controller's clock, at the most: what is promised of clocks is promised for so long. drive: a member may
+    drive a line and move axes as well, or only drive it (no profiles).
     """
 
     by: StartWish = "auto"
@@ -150,6 +150,10 @@ class Arm(StepRef):
 
 
 class Armed(Reply):
+    """The step is loaded. terms, edge: as in the proposal, with the clock mapping that is frozen into it."""
+
+    terms: list[Term] = Field(default=[])
+    edge: list[Term] = Field(default=[])
     mapping: ClockMapping | None = None
     took_ns: Int53 = 0
     stages_ns: dict[str, Int53] = Field(default={}, description="Where the time of arming went.")

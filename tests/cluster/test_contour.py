@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
@@ -101,3 +102,32 @@ def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_goes() -> 
         assert all(fleet.controllers[name].position("X") == 20_000 for name in ("gantry", "portal"))
 
     run_fleet(main, two_gantries())
+
+
+def test_a_chain_and_another_make_start_a_jerk_limited_step_together() -> None:
+    """The units of the chain load their records for seconds, and the other's clock has to hold for as long."""
+    plain = chain_fleet().to_plain()
+    for name in ("feeder", "outlet", "gantry"):
+        for axis in plain["controllers"][name]["axes"].values():
+            axis["limits"]["jerk"] = 5_000.0
+    prepare = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")
+    move = job("[{do: move, to: {gantry.x: 60, feeder.x: 30, outlet.x: 40}}]", max_start_skew="25 ms")
+
+    async def main(fleet: VirtualFleet) -> None:
+        prepared = await outcome(fleet, prepare)
+        assert prepared.state == "done", prepared.reason
+        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        report = await outcome(fleet, move)
+        assert report.state == "done", report.reason
+        step = report.steps[0]
+        assert step.verdict == "green"
+        moved = {name: fleet.controllers[name].motions[before[name]] for name in ("gantry", "feeder", "outlet")}
+        starts = [each.start_ns for each in moved.values()]
+        ends = [each.end_ns for each in moved.values() if each.end_ns is not None]
+        assert step.start_skew is not None and step.end_skew is not None
+        assert step.start_skew.at_least_ns <= max(starts) - min(starts) <= step.start_skew.at_most_ns
+        assert len(ends) == 3
+        assert step.end_skew.at_least_ns <= max(ends) - min(ends) <= step.end_skew.at_most_ns
+        assert [each.end_counts for each in moved.values()] == [60_000, 30_000, 40_000]
+
+    run_fleet(main, Fleet.model_validate(plain))
