@@ -1,17 +1,18 @@
 """The simulated JVL SMC30 step motor controller, alone or up to seven on one serial bus."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Simulator, Timing
+from sim.core.controller import Branch, Timing
 from sim.core.oscillator import Oscillator
 from sim.smc30.bench import Bench
+from sim.smc30.bus import BusUnit, build_bus
 from sim.smc30.controller import Smc30Controller, build_controller
 from sim.smc30.options import read_options
 
 
-class _Smc30:
-    """The model, as the group `tutti.simulators` names it."""
+class Smc30:
+    """The model, alone or several on one line, as the group `tutti.simulators` names it."""
 
     @property
     def model(self) -> str:
@@ -33,5 +34,9 @@ class _Smc30:
         """The same, with a firmware that takes no time unless the options say so."""
         return Bench(build_controller(clock, read_options(options, ideal=True), None, None, 0))
 
+    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Smc30Controller, Sequence[BusUnit]]:
+        """Units with addresses on one line; `ValueError` for a wrong option."""
+        return build_bus(clock, units)
 
-SMC30: Simulator = _Smc30()
+
+SMC30 = Smc30()

@@ -40,29 +40,36 @@ class _Sent:
     data: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One unit of a line, and what is its own. axis: its name. record: where its motions are kept."""
+
+    options: UnitOptions
+    oscillator: Oscillator
+    timing: Timing
+    generator: random.Random
+    axis: str
+    record: list[Motion]
+
+
 class Station:
     """A unit on the line: what it hears, how long its firmware takes, what it says."""
 
-    def __init__(
-        self,
-        clock: Clock,
-        options: UnitOptions,
-        bus: "Smc30Controller",
-        place: int,
-        oscillator: Oscillator,
-        timing: Timing,
-        generator: random.Random,
-    ) -> None:
+    def __init__(self, clock: Clock, place: Place, bus: "Smc30Controller") -> None:
+        options = place.options
         self._clock = clock
         self._bus = bus
-        self._timing = timing
-        self._generator = generator
+        self._timing = place.timing
+        self._generator = place.generator
         self._checksum = options.checksum
         self.address = options.address
         self._reader = StringReader(options.address, options.checksum, options.line_limit, bus.options.parity)
         self._pending: deque[_Pending] = deque()
         self._busy_until_ns = 0
-        self.unit = Unit(DeviceTime(clock, oscillator), options, str(place), bus.record, self._say)
+        self.record = place.record
+        time = DeviceTime(clock, place.oscillator)
+        poll_phase = self._generator.random() if options.input_poll_ms else 0.0
+        self.unit = Unit(time, options, place.axis, place.record, self._say, poll_phase)
 
     @property
     def decoding(self) -> bool:
@@ -127,26 +134,19 @@ class Smc30Controller:
     the Stop input is 10 * place + 4, true when pulled to ground.
     """
 
-    def __init__(
-        self, clock: Clock, options: Options, oscillator: Oscillator | None, timing: Timing, seed: int
-    ) -> None:
+    def __init__(self, clock: Clock, options: Options, places: Sequence[Place]) -> None:
         self._clock = clock
         self.options = options
-        self.record: list[Motion] = []
         self._port: Port | None = None
         self._arrived: deque[bytes] = deque()
         """Bytes being heard, and behind them those that came meanwhile."""
         self._last: _Sent | None = None
         self._character_ns = _BITS_PER_CHARACTER * NS_PER_S // options.baud
-        each = options.each()
-        self._numbers_by_place = len(each) > 1
-        self._stations: list[Station] = []
-        for place, unit in enumerate(each, start=1):
-            crystal = oscillator if place == 1 and oscillator is not None else _crystal(unit, seed + place)
-            generator = random.Random(seed * _PLACE + place)
-            self._stations.append(Station(clock, unit, self, place, crystal, timing, generator))
-            self._stations[-1].unit.outputs.listeners.append(self._relay(place))
+        self._numbers_by_place = len(places) > 1
         self._listeners: list[Callable[[int, bool], None]] = []
+        self._stations = [Station(clock, place, self) for place in places]
+        for number, station in enumerate(self._stations, start=1):
+            station.unit.outputs.listeners.append(self._relay(number))
 
     # The wire
 
@@ -157,6 +157,11 @@ class Smc30Controller:
     @property
     def axes(self) -> tuple[str, ...]:
         return tuple(station.unit.axis for station in self._stations)
+
+    @property
+    def stations(self) -> Sequence[Station]:
+        """The units in the order of their places."""
+        return self._stations
 
     def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Port:
         """Take the other end of the line, in place of whoever had it. It does not hang up: `closed` is not called."""
@@ -283,7 +288,7 @@ class Smc30Controller:
 
     @property
     def motions(self) -> Sequence[Motion]:
-        return self.record
+        return self._stations[0].record
 
     # Names
 
@@ -317,4 +322,16 @@ def build_controller(
     clock: Clock, options: Options, oscillator: Oscillator | None, timing: Timing | None, seed: int
 ) -> Smc30Controller:
     """Powered-up units. The fleet's crystal is that of place 1; the others have the one of their options."""
-    return Smc30Controller(clock, options, oscillator, timing or Timing(), seed)
+    record: list[Motion] = []
+    places = [
+        Place(
+            unit,
+            oscillator if number == 1 and oscillator is not None else _crystal(unit, seed + number),
+            timing or Timing(),
+            random.Random(seed * _PLACE + number),
+            str(number),
+            record,
+        )
+        for number, unit in enumerate(options.each(), start=1)
+    ]
+    return Smc30Controller(clock, options, places)

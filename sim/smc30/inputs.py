@@ -14,11 +14,18 @@ _LOGIC_ONE = 125  # 2.5 V (L2731)
 
 
 class Inputs:
-    """Levels as the firmware sees them; `changed` is called whenever one changes."""
+    """Levels as the firmware sees them; `changed` is called whenever one changes.
 
-    def __init__(self, time: DeviceTime, filter_ns: int, changed: Callable[[], None]) -> None:
+    poll_ns: it looks at the user inputs every so often, `phase_ns` after the whole periods of device time; 0: always.
+    """
+
+    def __init__(
+        self, time: DeviceTime, filter_ns: int, poll_ns: int, phase_ns: int, changed: Callable[[], None]
+    ) -> None:
         self._time = time
         self._filter_ns = filter_ns
+        self._poll_ns = poll_ns
+        self._phase_ns = phase_ns
         self._changed = changed
         self._wire = [False] * (USER_INPUTS + 1)
         self._pending: dict[int, Timer] = {}
@@ -34,10 +41,12 @@ class Inputs:
         self._wire[number] = level
         if (timer := self._pending.pop(number, None)) is not None:
             timer.cancel()
-        if not self._filter_ns:
+        if not self._filter_ns and not self._poll_ns:
             self._see(number)
         elif level != self._user[number]:
             due_ns = self._time.now_ns() + self._filter_ns
+            if self._poll_ns:
+                due_ns += (self._phase_ns - due_ns) % self._poll_ns
             self._pending[number] = self._time.call_at(due_ns, lambda: self._see(number))
 
     def set_volts(self, number: int, volts: float) -> None:

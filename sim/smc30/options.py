@@ -49,6 +49,8 @@ class UnitOptions(BaseModel):
     """Decision 15: from the start condition of N or NA to the start of the profile."""
     input_filter_ms: Millis = 0.16
     """Decision 15: how long a user input must hold a level to be seen."""
+    input_poll_ms: Millis = 0.0
+    """Decision 15: how often the firmware looks at the user inputs; 0: always."""
     home_input: Literal["eot", "input3_low"] = "eot"
     """Decision 19: what H watches."""
     overflow_wraps: bool = False
@@ -89,7 +91,7 @@ class Options(UnitOptions):
         return [UnitOptions.model_validate({**common, **own}) for own in stated]
 
 
-_TIMES = ("line_ms", "start_latency_ms", "input_filter_ms", "save_s", "recall_s")
+_TIMES = ("line_ms", "start_latency_ms", "input_filter_ms", "input_poll_ms", "save_s", "recall_s")
 
 
 def read_options(options: Mapping[str, object], *, ideal: bool = False) -> Options:

@@ -53,10 +53,19 @@ class Mode(Enum):
 
 
 class Unit:
-    """A unit and what is connected to it. `emit` takes a reply without checksum and CR."""
+    """A unit and what is connected to it. `emit` takes a reply without checksum and CR.
+
+    poll_phase: where in its period the firmware looks at the user inputs, 0 to 1.
+    """
 
     def __init__(
-        self, time: DeviceTime, options: UnitOptions, axis: str, motions: list[Motion], emit: Callable[[str], None]
+        self,
+        time: DeviceTime,
+        options: UnitOptions,
+        axis: str,
+        motions: list[Motion],
+        emit: Callable[[str], None],
+        poll_phase: float = 0.0,
     ) -> None:
         self.axis = axis
         self.time = time
@@ -65,7 +74,14 @@ class Unit:
         self._tempo = Tempo(time)
         self._store_tempo = Tempo(time)
         """Of the permanent memory, which the Stop input does not concern."""
-        self.inputs = Inputs(time, round(options.input_filter_ms * _NS_PER_MS), self._inputs_changed)
+        poll_ns = round(options.input_poll_ms * _NS_PER_MS)
+        self.inputs = Inputs(
+            time,
+            round(options.input_filter_ms * _NS_PER_MS),
+            poll_ns,
+            round(poll_phase * poll_ns),
+            self._inputs_changed,
+        )
         self.outputs = Outputs()
         self.drive = Drive(time, axis, motions, options.travel_steps)
         self.modules = Modules(options)
