@@ -31,7 +31,7 @@ class Line:
     def _heard(self, data: bytes) -> None:
         self.said += data
 
-    def ask(self, text: bytes, wait_ms: float = 5.0) -> bytes:
+    def ask(self, text: bytes, wait_ms: float = 20.0) -> bytes:
         """What comes within `wait_ms` of a line."""
         before = len(self.said)
         self.port.receive(text)
