@@ -19,14 +19,24 @@ class Buffers:
         self._session = session
         self._controllable = controllable
 
+    async def moves(self) -> dict[int, int | None]:
+        """The relative moves (MP:) that are queued, in pulses, by motor."""
+        return await self._queued("?:MPW")
+
+    async def waits(self) -> dict[int, int | None]:
+        """The input patterns (WI:) that are queued, by motor."""
+        return await self._queued("?:WIW")
+
+    async def _queued(self, query: str) -> dict[int, int | None]:
+        found = entries(await self._session.ask(query, amounts(len(self._controllable))))
+        return dict(zip(self._controllable, found, strict=True))
+
     async def dangerous(self, besides: dict[int, int] | None = None) -> set[int]:
         """Motors that a `G:` would move. besides: distances that are meant to be there, by motor."""
-        meant, count = besides or {}, len(self._controllable)
-        moves = entries(await self._session.ask("?:MPW", amounts(count)))
-        found = {m for m, each in zip(self._controllable, moves, strict=True) if (each or 0) != meant.get(m, 0)}
+        meant = besides or {}
+        found = {motor for motor, each in (await self.moves()).items() if (each or 0) != meant.get(motor, 0)}
         for query in ("?:APW", "?:WTW", "?:WIW"):
-            others = entries(await self._session.ask(query, amounts(count)))
-            found |= {m for m, each in zip(self._controllable, others, strict=True) if each is not None}
+            found |= {motor for motor, each in (await self._queued(query)).items() if each is not None}
         for query in ("?:EP", "?:KP"):
             if await self._session.ask(query, NOT_SET) != "NS":
                 found |= set(self._controllable)
@@ -60,9 +70,7 @@ class Buffers:
         """End standbys that somebody left on `busy` axes, without starting what is queued behind them."""
         for each in sorted(busy):
             await self._session.try_to_tell(f"MP:{each}+P0")
-            if entries(await self._session.ask("?:MPW", amounts(len(self._controllable))))[
-                self._controllable.index(each)
-            ]:
+            if (await self.moves())[each]:
                 continue  # not overwritten, as in a motor that is off: do not cancel
             await self._session.try_to_tell(f"WI:{each},C")
             await self._session.try_to_tell(f"WT:{each},0")

@@ -1,6 +1,7 @@
 """What arming, disarming and stopping take at the most, from characters on the wire and the unit's decoding."""
 
 from adapters.shrc203.options import Options
+from adapters.shrc203.standby import COMPLETION_LATE_NS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.state import Costs
 
@@ -9,20 +10,25 @@ _CHECK = (7 + 90, 1)  # Q:SPC
 _BUFFERS = (6 * 7 + 2 * 36 + 2 * 16 + 2 * 6, 6)  # ?:MPW ?:APW ?:WTW ?:WIW ?:EP ?:KP
 _LOAD = (120 + 6 + 7 + 125 + 7 + 6, 3)  # MP:, ?:CMD, GC:
 _CLEAR = (3 * (8 + 6), 3)  # MP:a+P0
+_STANDBY = (2 * (4 + 4) + 11 + 4 + 7 + 36 + 5 + 4, 4)  # I: twice, WI:, ?:WIW, G:
+_RELEASE = (3 * (8 + 6) + 7 + 36 + 3 * (8 + 4), 7)  # MP:a+P0, ?:MPW, WI:a,C
+_OUTPUT = (5 + 4 + 6 + 4, 2)  # ?:O, O:
 _LONGEST_LINE = 120
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _RAMP_MAX_NS = NS_PER_S  # R is 1000 ms at the most (L3157), and a stop uses the ramp of the move
 
 
-def costs(options: Options, char_ns: int) -> Costs:
-    """Bounds in ns for links with this character time."""
+def costs(options: Options, char_ns: int, line: bool = False) -> Costs:
+    """Bounds in ns for links with this character time. line: of a step with a wired line."""
     exchange_ns = (options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us) * NS_PER_US + _HOST_NS
 
     def take_ns(*parts: tuple[int, int]) -> int:
         return sum(characters * char_ns + exchanges * exchange_ns for characters, exchanges in parts)
 
+    standby = (_STANDBY, _CHECK, _CHECK, _OUTPUT) if line else ()
+    release = (_RELEASE, _CHECK, _CHECK, _CHECK, _OUTPUT) if line else ()
     return Costs(
-        arm_ns=take_ns(_LOAD, _BUFFERS, _CHECK),
-        disarm_ns=take_ns(_BUFFERS, _CLEAR, _BUFFERS),
+        arm_ns=take_ns(_LOAD, _BUFFERS, _CHECK, *standby),
+        disarm_ns=take_ns(_BUFFERS, _CLEAR, _BUFFERS, *release) + (COMPLETION_LATE_NS if line else 0),
         stop_ns=_LONGEST_LINE * char_ns + exchange_ns + _RAMP_MAX_NS,
     )

@@ -21,12 +21,13 @@ from adapters.shrc203.axes import letter
 from adapters.shrc203.costs import costs
 from adapters.shrc203.homing import home
 from adapters.shrc203.jogging import Jogging
-from adapters.shrc203.lowering import ShrcLowered, lower
+from adapters.shrc203.lowering import ShrcLowered, Wire, lower
 from adapters.shrc203.moves import Mover
 from adapters.shrc203.options import Options
-from adapters.shrc203.polling import Poller, bits
+from adapters.shrc203.polling import Poller
 from adapters.shrc203.replies import BITS, flags
 from adapters.shrc203.session import Session
+from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
@@ -49,6 +50,7 @@ class ShrcDriver(Driver):
         self._clock = setup.clock
         self._char_ns = _char_ns(setup, options)
         self._costs = costs(options, self._char_ns)
+        self._line_costs = costs(options, self._char_ns, line=True)
         self._unit: UnitState | None = None
         self._mover: Mover | None = None
         self._poller: Poller | None = None
@@ -78,10 +80,22 @@ class ShrcDriver(Driver):
         loops = await unit.session.ask("?:FW", flags(len(unit.controllable)))
         unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
+        if self._config.inputs:
+            unit.line_starts = await can_wait_at_rest(unit)
 
     @property
     def capabilities(self) -> Capabilities:
-        return Capabilities(start_classes=("host",), orders=(2,), independent_axes=False, costs=self._costs)
+        return Capabilities(
+            start_classes=("host", "line") if self._line_starts else ("host",),
+            orders=(2,),
+            independent_axes=False,
+            costs=self._costs,
+        )
+
+    @property
+    def _line_starts(self) -> bool:
+        """Whether a move can wait for an input; a unit that has not been asked yet is thought to."""
+        return self._unit is None or self._unit.line_starts
 
     async def poll(self) -> Reading:
         self._connected()
@@ -96,7 +110,8 @@ class ShrcDriver(Driver):
     # A step
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> ShrcLowered:
-        return lower(self._config, self._options, self._costs, profiles, how)
+        wire = Wire(self._char_ns, self._line_starts, self._costs, self._line_costs)
+        return lower(self._config, self._options, wire, profiles, how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, ShrcLowered)
@@ -124,11 +139,11 @@ class ShrcDriver(Driver):
         mover = self._moving()
         unit.count_stop((1, 2, 3))
         if abort:
-            at_ns = unit.session.interrupt("L:E")
+            lines = ["L:E"]
         else:
             on = [motor for motor in unit.controllable or (1, 2, 3) if unit.excited.get(motor, True)]
-            at_ns = unit.session.interrupt(f"L:{letter(on)}" if on else "L:W", *(f"L:{motor}" for motor in on))
-        mover.interrupted(at_ns)
+            lines = [*mover.before_stop(), f"L:{letter(on)}" if on else "L:W", *(f"L:{motor}" for motor in on)]
+        mover.interrupted(unit.session.interrupt(*lines, *mover.after_stop()))
 
     # By hand
 
@@ -163,10 +178,12 @@ class ShrcDriver(Driver):
         unit = self._connected()
         if unit.session.owed:
             raise CannotDo("moving", "outputs can not be read back while an axis moves", "wait for its end")
+        if unit.driving:
+            raise CannotDo("busy", "a step drives an output, and all are written together", "wait for its end")
         async with self._outputs:
-            now = bits(await unit.session.ask("?:O", BITS))
-            now[number] = on
-            await unit.session.tell(f"O:{sum(1 << (each - 1) for each, high in now.items() if high)}")
+            now, bit = int(await unit.session.ask("?:O", BITS)), 1 << (number - 1)
+            unit.outputs = now | bit if on else now & ~bit
+            await unit.session.tell(f"O:{unit.outputs}")
 
     async def clear_faults(self) -> None:
         """Clear limit error, overflow error and emergency stop (L2452-L2454). Motors stay as they are."""
@@ -187,6 +204,8 @@ class ShrcDriver(Driver):
     async def close(self) -> None:
         unit, self._unit = self._unit, None
         if unit is not None:
+            assert self._mover is not None
+            self._mover.forget()
             await unit.session.close()
 
     # Inside
@@ -207,7 +226,7 @@ class ShrcDriver(Driver):
 
     async def _recover(self, unit: UnitState) -> None:
         """The unit was switched off and on: load again what it has lost."""
-        self._moving().move = None
+        self._moving().forget()
         try:
             await self.configure()
         except CannotDo as error:

@@ -97,7 +97,7 @@ class Jogging:
             )
         unit = self._unit
         async with unit.loading:
-            if self._mover.move is not None:
+            if self._mover.busy:
                 # G: would start what is loaded, too.
                 raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
             try:

@@ -1,4 +1,4 @@
-"""Profiles to lines of the SHRC-203: one prebuffer move an axis, all started by one `G:`."""
+"""Profiles to lines of the SHRC-203: one prebuffer move an axis, all started by one `G:`, or by an input."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from typing import Literal
 from adapters.contract import CannotDo, Lowered, require_how
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
+from adapters.shrc203.lines import Drive, Wait, driven, edge_terms, waited_for, waiting_terms
 from adapters.shrc203.options import Options
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
@@ -16,8 +17,24 @@ from orchestrator.model.messages import StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
+OUTPUT_VALUES = range(64)
+_WHY_NOT = {
+    "line": "the unit takes no standby while its axes are at rest, or no input was named",
+    "clock": "the SHRC-203 has no readable clock to start by",
+}
 # A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
 _SHORT_ROOM = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """What lowering knows of the connection. line_starts: whether axes can wait for an input. line_costs: of steps
+    with a wired line."""
+
+    char_ns: int
+    line_starts: bool
+    costs: Costs
+    line_costs: Costs
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,40 +50,69 @@ class AxisMove:
 
 @dataclass(frozen=True, slots=True)
 class ShrcLowered(Lowered):
-    """What `arm` needs: the moves, and the two lines that load and start them."""
+    """What `arm` needs: the moves, the two lines that load and start them, and the lines by wire."""
 
     moves: tuple[AxisMove, ...] = ()
     load: str = ""
     start: str = ""
+    wait: Wait | None = None
+    drive: Drive | None = None
+
+    @property
+    def window_ns(self) -> tuple[int, int]:
+        """The start about T0, by all terms together."""
+        return sum(each.earliest_ns for each in self.terms), sum(each.latest_ns for each in self.terms)
 
 
 def lower(
     config: Controller,
     options: Options,
-    costs: Costs,
+    wire: Wire,
     profiles: Mapping[str, Profile],
     how: StartWay,
 ) -> ShrcLowered:
     """Lower all axes of a step. Raises `CannotDo`."""
-    require_how(how, ("host",), "the SHRC-203 has no readable clock to start by")
+    if how.wait is not None and wire.line_starts:
+        require_how(how, ("host", "line"), "")
+    else:
+        require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
+    wait = None if how.wait is None else waited_for(config, how.wait)
+    drive = None if how.drive is None else driven(config, how.drive)
     moves = tuple(
         sorted((_move(name, config.axes[name], each) for name, each in profiles.items()), key=lambda each: each.motor)
     )
     running = tuple(each for each in moves if each.shape is not None)
     load = load_line(running) if running else ""
     go = start_line(running) if running else ""
+    behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * wire.char_ns if running and wait is None else 0
     return ShrcLowered(
-        start_class="host",
+        start_class="host" if wait is None else "line",
         durations_s={each.name: each.shape.duration_s if each.shape else 0.0 for each in moves},
         path_error_counts={each.name: path_error(profiles[each.name], each) for each in moves},
-        terms=terms(options),
+        terms=terms(options) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
-        costs=costs,
-        commands=(load, go) if running else (),
+        costs=wire.line_costs if wait is not None or drive is not None else wire.costs,
+        commands=_shown(running, load, go, wait, drive),
+        edge=() if drive is None else edge_terms(options, behind_ns),
         moves=running,
         load=load,
         start=go,
+        wait=wait,
+        drive=drive,
     )
+
+
+def _shown(
+    running: tuple[AxisMove, ...], load: str, go: str, wait: Wait | None, drive: Drive | None
+) -> tuple[str, ...]:
+    """What is sent, for people. The other inputs and outputs are as they are found then."""
+    switch = () if drive is None else (f"O: with OUT{drive.number} {'on' if drive.active else 'off'}",)
+    if not running:
+        return switch
+    if wait is None:
+        return (load, go, *switch)
+    pattern = f"WI:{letter(each.motor for each in running)}, with IN{wait.number} {'on' if wait.active else 'off'}"
+    return (pattern, go, load, *switch)
 
 
 def terms(options: Options) -> tuple[Term, ...]:

@@ -1,34 +1,40 @@
-"""One move of a unit: loaded, checked, started by one line at an instant, followed to its end."""
+"""One move of a unit: loaded, checked, started by one line at an instant or by an input, followed to its end."""
 
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import ceil, floor
 
-from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
+from adapters.contract import CannotDo, DriverFault, Fired, FireOrder, Firer, Outcome, Span
 from adapters.shrc203.axes import letter
 from adapters.shrc203.lowering import AxisMove, ShrcLowered
 from adapters.shrc203.options import Options
+from adapters.shrc203.output import DrivenOutput
 from adapters.shrc203.replies import REFUSALS, STATUS, AxisStatus, amounts, entries, status
 from adapters.shrc203.session import EOL, Pending, Session
+from adapters.shrc203.standby import COMPLETION_LATE_NS, Standby
 from adapters.shrc203.status import ERRORS, why_stopped
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 
-_COMPLETION_LATE_NS = 100 * NS_PER_MS  # a completion line that comes later than this is taken for lost
 _LOOK_NS = 50 * NS_PER_MS
+_QUIET_NS = 60 * NS_PER_MS  # nothing is asked so shortly before T0
 _OK_CHARACTERS = len("OK\r\n")
 _DIGIT_CHARACTERS = len("1\r\n")
 
 
 @dataclass(slots=True)
 class Move:
-    """A move that is loaded. order and pending: from `go` on. started: span of the start, when it is known."""
+    """A move that is loaded. output: what it switches. From `go` on it is released, with the order to fire and the
+    places of the answers, of the starting line and of the one that switches. started: span of the start, when known."""
 
     lowered: ShrcLowered
     t0_ns: int
+    output: DrivenOutput | None = None
+    released: bool = False
     order: FireOrder | None = None
     pending: Pending | None = None
+    switching: Pending | None = None
     started: Span | None = None
     stopped_ns: int | None = None
     taken_back: bool = False
@@ -37,6 +43,11 @@ class Move:
     @property
     def motors(self) -> set[int]:
         return {each.motor for each in self.lowered.moves}
+
+    @property
+    def waits(self) -> bool:
+        """Whether an input starts it."""
+        return self.lowered.wait is not None and bool(self.lowered.moves)
 
 
 class Mover:
@@ -48,6 +59,8 @@ class Mover:
         self._firer = firer
         self._unit = unit
         self._settle_ns = settle_ns
+        self._standby = Standby(unit, clock)
+        self._output: DrivenOutput | None = None  # the last one that a step drove
         self.move: Move | None = None
 
     @property
@@ -63,52 +76,88 @@ class Mover:
 
     async def _arm(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         began_ns = self._clock.now_ns()
-        if self.move is not None:
+        if self._unit.untidy and self.move is None and not self._unit.chaining:
+            await self._empty()
+        if self.busy:
             raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+        move = Move(lowered, t0_ns)
+        if lowered.drive is not None:
+            move.output = self._output = DrivenOutput(self._unit, self._clock, lowered.drive)
+            await move.output.arm()
         if not lowered.moves:
-            self.move = Move(lowered, t0_ns)
+            self.move = move
             return {}
-        motors = {each.motor for each in lowered.moves}
-        self._unit.by_hand -= motors
+        self._unit.by_hand -= move.motors
         # Something in an execution buffer would run before what is loaded here.
-        await self._session.tell(f"GC:{letter(motors)}")
-        move = self.move = Move(lowered, t0_ns)
+        await self._session.tell(f"GC:{letter(move.motors)}")
+        self.move = move
+        if lowered.wait is not None:
+            await self._check_rest(lowered.moves)
+            await self._standby.begin(lowered.wait, {each.motor: each.start_counts for each in lowered.moves})
+            if self.move is not move:
+                # What a stop could not find yet must not stay.
+                await self._standby.end()
+                raise CannotDo("stopped", "a stop came while arming", "")
         text = await self._session.tell_and_hear(lowered.load)
         loaded_ns = self._clock.now_ns()
         if text != lowered.load:
             raise CannotDo(
                 "load-garbled", f"sent {lowered.load!r}, the unit has understood {text!r}", "check the cable; arm again"
             )
-        await self._check_rest(lowered.moves)
-        await self._check_loaded(move)
+        if lowered.wait is not None:
+            await self._standby.check(lowered.wait)
+            self._compare(move, await self._unit.buffers.moves())
+        else:
+            await self._check_rest(lowered.moves)
+            await self._check_loaded(move)
         if self.move is not move:
             raise CannotDo("stopped", "a stop came while arming", "")
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is loaded, waits or is under way."""
+        return self.move is not None or bool(self._unit.waiting) or self._unit.chaining
 
     async def verify(self) -> None:
         """Still loaded, still where the plan starts. Raises `CannotDo`."""
         move = self._require()
         if not move.lowered.moves:
             return
-        await self._check_rest(move.lowered.moves)
-        count = len(self._unit.controllable)
-        found = entries(await self._session.ask("?:MPW", amounts(count)))
-        self._compare(move, dict(zip(self._unit.controllable, found, strict=True)))
+        if move.lowered.wait is not None:
+            await self._standby.check(move.lowered.wait)
+        else:
+            await self._check_rest(move.lowered.moves)
+        self._compare(move, await self._unit.buffers.moves())
 
     async def go(self) -> None:
-        """Have the starting line written so that its end is at the unit `decode_us` before T0."""
+        """Have the starting line, or the one that switches the output, written so that its end is at the unit
+        `decode_us` before T0; both are written at once. Axes that wait for an input need nothing more."""
         move = self._require()
-        if not move.lowered.moves:
-            return
-        data = (move.lowered.start + EOL).encode()
-        at_ns = move.t0_ns - self._session.wire_ns(len(data)) - self._options.decode_us * NS_PER_US
+        lines = [move.lowered.start] if move.lowered.moves and not move.waits else []
+        if move.output is not None:
+            lines.append(move.output.on)
+        if lines:
+            self._schedule(move, lines)
+        if move.lowered.moves:
+            self._session.owe(move.motors)
+        move.released = True
+
+    def _schedule(self, move: Move, lines: list[str]) -> None:
+        data = "".join(line + EOL for line in lines).encode()
+        at_ns = move.t0_ns - self._session.wire_ns(len(lines[0] + EOL)) - self._options.decode_us * NS_PER_US
         latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
-        self._session.owe(move.motors)
         self._session.keep_quiet(latest_ns, at_ns)
-        move.pending = self._session.expect(move.lowered.start, latest_ns)
+        places = [self._session.expect(line, latest_ns) for line in lines]
         move.order = self._firer.schedule(self._session.link, data, at_ns, latest_ns)
+        if move.output is not None:
+            move.switching = places.pop()
+            assert move.lowered.drive is not None
+            edge_ns = sum(each.latest_ns for each in move.lowered.edge)
+            move.output.follow(move.order, move.switching, move.t0_ns + edge_ns + move.lowered.drive.hold_ns)
+        move.pending = places[0] if places else None
 
     async def disarm(self) -> None:
         """Take back the order to fire, then overwrite what is queued. Never starts a move."""
@@ -116,15 +165,37 @@ class Mover:
         if move is not None:
             self._take_back(move)
         async with self._unit.loading:
-            await self._unit.buffers.make_harmless(self._unit.excited)
-            self._unit.untidy = False
+            await self._empty()
 
     async def tidy(self) -> None:
         """Empty the prebuffers that a stop has left, once nothing is loaded or under way."""
         async with self._unit.loading:
-            if self._unit.untidy and self.move is None:
-                await self._unit.buffers.make_harmless(self._unit.excited)
-                self._unit.untidy = False
+            if self._unit.untidy and self.move is None and not self._unit.chaining:
+                await self._empty()
+
+    async def _empty(self) -> None:
+        if self._output is not None:
+            await self._output.end()
+        await self._standby.end()
+        await self._unit.buffers.make_harmless(self._unit.excited)
+        self._unit.untidy = False
+
+    def forget(self) -> None:
+        """The unit has lost what it was loaded with, or the connection ends."""
+        self.move = None
+        self._unit.waiting = {}
+        if self._output is not None:
+            self._output.forget()
+            self._output = None
+
+    def before_stop(self) -> list[str]:
+        """Lines that go before a stop: what waits for an input has nothing behind it then, whatever ends the wait."""
+        return [f"MP:{motor}+P0" for motor in sorted(self._unit.waiting)]
+
+    def after_stop(self) -> list[str]:
+        """Lines that go behind a stop: the output that a step drives is passive then."""
+        move = self.move
+        return [move.output.off] if move is not None and move.output is not None and move.released else []
 
     def interrupted(self, at_ns: int) -> None:
         """A stop was written at that instant."""
@@ -133,20 +204,26 @@ class Mover:
         if move is None:
             return
         move.stopped_ns = at_ns
-        if self._take_back(move) or move.order is None:
+        if move.output is not None:
+            move.output.forget()
+        if self._take_back(move) or not move.released:
             self.move = None
         self._session.changed.set()
 
     def _take_back(self, move: Move) -> bool:
-        """Cancel the order to fire; whether nothing was or will be written."""
+        """Cancel the order to fire; whether nothing was or will be started."""
+        if move.waits and move.released:
+            self._session.owe_nothing()
         if move.order is None or not move.order.cancel():
             return False
         move.taken_back = True
-        if move.pending is not None:
-            self._session.forget(move.pending)
+        for pending in (move.pending, move.switching):
+            if pending is not None:
+                self._session.forget(pending)
         self._session.end_quiet()
-        self._session.owe_nothing()
-        return True
+        if not move.waits:
+            self._session.owe_nothing()
+        return not move.waits
 
     # After the start
 
@@ -158,9 +235,21 @@ class Mover:
         four characters before it was here, whatever was late on the way back; and `start_after_ok_us` after that.
         """
         move = self._require()
-        if not move.lowered.moves:
-            return {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s}
-        assert move.order is not None and move.pending is not None and move.pending.reply is not None
+        fired = None if move.order is None else await self._fired(move)
+        if move.waits:
+            start = await self._line_start(move)
+        elif fired is not None and move.pending is not None:
+            start = await self._host_start(move, fired.written_ns)
+        else:
+            start = Span(move.t0_ns, move.t0_ns)
+        if move.output is not None:
+            await move.output.switched()
+        move.started = start
+        stay = {name for name, s in move.lowered.durations_s.items() if s == 0.0}
+        return {n: Span(move.t0_ns, move.t0_ns) if n in stay else start for n in move.lowered.durations_s}
+
+    async def _fired(self, move: Move) -> Fired:
+        assert move.order is not None
         try:
             fired = await move.order.done()
         except asyncio.CancelledError:
@@ -168,10 +257,16 @@ class Mover:
                 raise
             raise DriverFault("not-started", "the order to start was taken back", "") from None
         if fired.late:
-            self._session.forget(move.pending)
+            for pending in (move.pending, move.switching):
+                if pending is not None:
+                    self._session.forget(pending)
             self._session.owe_nothing()
             raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
-        earliest_ns = fired.written_ns + self._session.wire_ns(len(move.lowered.start) + len(EOL))
+        return fired
+
+    async def _host_start(self, move: Move, written_ns: int) -> Span:
+        assert move.pending is not None and move.pending.reply is not None
+        earliest_ns = written_ns + self._session.wire_ns(len(move.lowered.start) + len(EOL))
         try:
             line = await move.pending.reply
         except DriverFault as error:
@@ -184,9 +279,51 @@ class Mover:
                 )
             latest_ns = line.at_ns - self._session.wire_ns(_OK_CHARACTERS)
         latest_ns += self._options.start_after_ok_us * NS_PER_US
-        move.started = Span(min(earliest_ns, latest_ns), latest_ns)
-        stay = {name for name, s in move.lowered.durations_s.items() if s == 0.0}
-        return {n: Span(move.t0_ns, move.t0_ns) if n in stay else move.started for n in move.lowered.durations_s}
+        return Span(min(earliest_ns, latest_ns), latest_ns)
+
+    async def _line_start(self, move: Move) -> Span:
+        """When the input has started the axes: within the window that the terms give, and between the last question
+        to which the move was still in its prebuffer and the beginning of the answer by which it had left it."""
+        wait = move.lowered.wait
+        assert wait is not None
+        earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
+        if self._clock.now_ns() < move.t0_ns - _QUIET_NS and not await self._loaded(move):
+            self.move = None
+            raise DriverFault(
+                "not-started",
+                f"the axes are moving before T0: input {wait.name} became active too early",
+                "look at what drives it",
+            )
+        while True:
+            while (now_ns := self._clock.now_ns()) < latest_ns:
+                await self._session.wait_changed(latest_ns)
+                self._require_no_stop(move)
+            line = await self._session.ask_line("?:MPW", amounts(len(self._unit.controllable)))
+            self._require_no_stop(move)
+            found = dict(zip(self._unit.controllable, entries(line.text), strict=True))
+            left = [each for each in move.lowered.moves if found[each.motor] == each.distance]
+            if not left:
+                seen_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
+                self._unit.waiting = {}
+                return Span(earliest_ns, max(earliest_ns, min(latest_ns, seen_ns)))
+            earliest_ns = max(earliest_ns, now_ns)
+            if earliest_ns > latest_ns:
+                self.move = None
+                raise DriverFault(
+                    "not-started",
+                    f"axis {left[0].name} still waits: input {wait.name} (IN{wait.number}) was not seen active by "
+                    f"{wait.latest_ns / 1e6:g} ms after T0",
+                    "look at the wire, at `active` in the fleet file, and that no other input has changed",
+                )
+
+    def _require_no_stop(self, move: Move) -> None:
+        if move.stopped_ns is not None:
+            self.move = None
+            raise DriverFault("not-started", "stopped while it waited for its line", "")
+
+    async def _loaded(self, move: Move) -> bool:
+        found = await self._unit.buffers.moves()
+        return all(found[each.motor] == each.distance for each in move.lowered.moves)
 
     async def _seen_moving(self, move: Move, error: DriverFault) -> int:
         """The answer to the starting line was lost: by when the axes moved, seen otherwise."""
@@ -202,14 +339,15 @@ class Mover:
         """Wait for the completion lines; look at the unit itself when they do not come, or after a stop."""
         move = self._require()
         if not move.lowered.moves or move.started is None:
-            self.move = None
-            return Outcome("done", {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s})
+            return await self._nothing_moved(move)
         session = self._session
         longest_s = max(move.lowered.durations_s.values())
-        look_ns = move.started.latest_ns + self._slow_ns(longest_s) + _COMPLETION_LATE_NS
+        look_ns = move.started.latest_ns + self._slow_ns(longest_s) + COMPLETION_LATE_NS
         give_up_ns = look_ns + self._settle_ns
+        self._put_back_early(move)
         while session.owed:
             await session.wait_changed(look_ns)
+            self._put_back_early(move)
             if session.owed and (move.stopped_ns is not None or await self._at_rest(move)):
                 break
             if self._clock.now_ns() > give_up_ns:
@@ -233,7 +371,12 @@ class Mover:
             if not arrived or now.word & ERRORS:
                 why = why_stopped(each.name, now)
                 reasons.append(why or f"axis {each.name} stands at {now.counts}, not at its target")
-            ended[each.name] = self._end(move, each, completed.get(each.motor), rest_ns, arrived)
+            # The standby may have had a completion line of its own: there only the look at the unit counts.
+            said_ns = None if move.waits else completed.get(each.motor)
+            ended[each.name] = self._end(move, each, said_ns, rest_ns, arrived)
+        wrong = await move.output.passive() if move.output is not None else ""
+        error = error or bool(wrong)
+        reasons += [wrong] if wrong else []
         if self.move is move:
             self.move = None
         if not reasons:
@@ -242,6 +385,28 @@ class Mover:
         if move.stopped_ns is not None and not error:
             return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
         return Outcome("fault", ended, "; ".join(reasons))
+
+    async def _nothing_moved(self, move: Move) -> Outcome:
+        """The end of a step in which the controller only drives a line, if anything."""
+        wrong = await move.output.passive() if move.output is not None else ""
+        if self.move is move:
+            self.move = None
+        ended = {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s}
+        if wrong:
+            return Outcome("fault", ended, wrong)
+        stopped = move.stopped_ns is not None
+        return Outcome("stopped" if stopped else "done", ended, "stopped on request" if stopped else "")
+
+    def _put_back_early(self, move: Move) -> None:
+        """Completion lines that come before the move can have ended are those of the standby."""
+        if not move.waits:
+            return
+        assert move.started is not None
+        for each in move.lowered.moves:
+            quick_ns = floor(move.lowered.durations_s[each.name] * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
+            ended_ns = move.started.earliest_ns + quick_ns
+            if self._session.completed.get(each.motor, ended_ns) < ended_ns:
+                self._session.owe_again(each.motor)
 
     def _end(self, move: Move, axis: AxisMove, completed_ns: int | None, rest_ns: int, arrived: bool) -> Span:
         """When an axis ended. By its start and its duration, as far as the unit's crystal may be wrong; and before

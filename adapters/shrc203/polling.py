@@ -42,7 +42,8 @@ class Poller:
             actual = {m: scales[m] if unit.closed_loop.get(m) else each for m, each in now.items()}
         busy = {motor for motor, each in now.items() if each.busy}
         self._forgive(busy, line.at_ns)
-        if not session.owed and busy <= unit.by_hand:
+        waiting = {motor for motor, counts in unit.waiting.items() if now[motor].busy and now[motor].counts == counts}
+        if not session.owed and busy <= unit.by_hand | waiting:
             await self._ask_digits()
         found: list[Fault] = []
         axes: dict[str, AxisReading] = {}
@@ -55,7 +56,7 @@ class Poller:
                 commanded_counts=axis.counts,
                 actual_counts=float(actual[motor].counts),
                 velocity_counts_s=moved / elapsed_s if moved else 0.0,
-                moving=axis.busy,
+                moving=axis.busy and motor not in waiting,
                 enabled=excited,
                 limit=fleetaxes.limit_of(axis.word, self._options.cw),
                 lost=lost(axis.word, excited, unit.closed_loop.get(motor, False)),
@@ -91,12 +92,12 @@ class Poller:
         answer = await unit.session.ask("?:CW", flags(len(unit.controllable)))
         unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
         if self._config.inputs:
-            self._inputs = bits(await unit.session.ask("I:", BITS))
+            self._inputs = bits(int(await unit.session.ask("I:", BITS)))
         if self._config.outputs:
-            self._outputs = bits(await unit.session.ask("?:O", BITS))
+            unit.outputs = int(await unit.session.ask("?:O", BITS))
+            self._outputs = bits(unit.outputs)
 
 
-def bits(reply: str) -> dict[int, bool]:
+def bits(value: int) -> dict[int, bool]:
     """Inputs or outputs by number: the first is 1, the second 2, the third 4 (L5274-L5304)."""
-    value = int(reply)
     return {number: bool(value & 1 << (number - 1)) for number in fleetaxes.INPUTS}

@@ -155,6 +155,11 @@ class Session:
         self.completed = {}
         self.abandoned = False
 
+    def owe_again(self, motor: int) -> None:
+        """What came was not the completion of this motor's move."""
+        self.completed.pop(motor, None)
+        self.owed.add(motor)
+
     def owe_nothing(self) -> None:
         """No completion can come any more."""
         self.owed = set()

@@ -18,6 +18,9 @@ class UnitState:
 
     untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them.
     by_hand: motors that were last set going by a jog, which sends no completion line. restarts: noticed so far.
+    waiting: motors in standby for an input, as far as is known, with the pulses where they stand. line_starts: whether
+    the unit takes such standbys. outputs: value of all outputs as last read or written; driving: a step switches one.
+    chaining: a chain of moves is loaded or under way.
     """
 
     session: Session
@@ -29,6 +32,11 @@ class UnitState:
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
     by_hand: set[int] = field(default_factory=set[int])
     restarts: int = 0
+    waiting: dict[int, int] = field(default_factory=dict[int, int])
+    line_starts: bool = True
+    outputs: int = 0
+    driving: bool = False
+    chaining: bool = False
     _stops_given: Counter[int] = field(default_factory=Counter[int])
 
     @property

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from adapters.contract import CannotDo
 from adapters.shrc203 import MAKE, fleetaxes
 from adapters.shrc203.costs import costs
-from adapters.shrc203.lowering import ShrcLowered, lower
+from adapters.shrc203.lowering import ShrcLowered, Wire, lower
 from adapters.shrc203.options import Options
 from adapters.shrc203.replies import STATUS, status
 from adapters.shrc203.trapezoid import Bounds, Trapezoid, fit
@@ -26,9 +26,13 @@ def controller(**axis: Any) -> Controller:
     )
 
 
+def wire(options: Options, char_ns: int) -> Wire:
+    return Wire(char_ns, True, costs(options, char_ns), costs(options, char_ns, line=True))
+
+
 def lowered(config: Controller, profile: Profile) -> ShrcLowered:
     options = Options()
-    return lower(config, options, costs(options, 260_000), {"x": profile}, StartWay())
+    return lower(config, options, wire(options, 260_000), {"x": profile}, StartWay())
 
 
 def test_the_worked_example() -> None:
@@ -98,7 +102,7 @@ def test_refusals_name_axis_and_what_would_fit() -> None:
     options = Options()
     profile = plan_step([AxisMove("x", 0, 30_000, 200_000.0, 1_000_000.0)]).profiles["x"]
     with pytest.raises(CannotDo, match="clock"):
-        lower(config, options, costs(options, 0), {"x": profile}, StartWay(by="clock"))
+        lower(config, options, wire(options, 0), {"x": profile}, StartWay(by="clock"))
 
 
 @pytest.mark.parametrize(
