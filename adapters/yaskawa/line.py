@@ -56,6 +56,8 @@ class Line:
         self.in_step = False
         self.stops = 0
         self.loading = False
+        self.half_line = False
+        """A download has ended, without CR: to units that were not addressed the next address is no line's beginning."""
         self.answered = False
         """Somebody has answered since the port was opened."""
         self.ahead: Ahead | None = None

@@ -103,7 +103,7 @@ class PolledSession(SerialSession):
         else:
             if ahead is not None:
                 line.out_of_step()
-            if not (line.in_step and self._settled):
+            if line.half_line or not (line.in_step and self._settled):
                 await self._turn_to_unit()
             prefix = "" if line.selected == self._unit else address(self._unit)
             self._begin_with()

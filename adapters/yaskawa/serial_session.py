@@ -134,7 +134,7 @@ class SerialSession(Session):
                 raise
             finally:
                 # Whatever happened, the next exchange ends a download that is still open.
-                line.loading = False
+                line.loading, line.half_line = False, True
                 line.out_of_step()
 
     async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
@@ -165,7 +165,7 @@ class SerialSession(Session):
             finally:
                 line.loading = False
                 if loaded:
-                    line.in_step = self._settled = True
+                    line.in_step = self._settled = line.half_line = True
                 else:
                     line.out_of_step()
 
@@ -278,7 +278,7 @@ class SerialSession(Session):
             marker = line.marker()
             asked = f'MG "{marker}",{ADDRESS}' if self._known else f'MG "{marker}"'
             # A half-typed line is spoiled before it is ended; an operator's entry and a download end (L4812, L8205).
-            opening = "" if self._settled else "\\\r"
+            opening = "" if self._settled and not line.half_line else "\\\r"
             settings = () if self._settled else _SETTINGS
             opening += self._addressed(left) + "".join(f"{command}\r" for command in settings)
             try:
@@ -293,7 +293,7 @@ class SerialSession(Session):
                         raise
                 continue
             if line.stops == stops:
-                line.in_step, line.selected, self._settled = True, self._unit, True
+                line.in_step, line.selected, self._settled, line.half_line = True, self._unit, True, False
 
     def _addressed(self, left: int) -> str:
         """A controller alone does not need an address, unless somebody has addressed another one before."""

@@ -190,7 +190,7 @@ class Motion:
                 for member, proposal in moving.proposals.items()
                 for axis, took_s in proposal.durations_s.items()
             }
-            longest_s, lead_ns = max(durations.values()), _lead_ns(moving)
+            longest_s, lead_ns = max(durations.values()), self._lead_ns(moving)
             in_time = step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9)
             if in_time and lead_ns <= moving.lead_ns:
                 break
@@ -238,6 +238,17 @@ class Motion:
         moving.proposals = await self._ask_all("propose", requests, Proposal)
         self._refuse_if_any(moving.proposals)
 
+    def _lead_ns(self, moving: _Step) -> int:
+        """How far ahead of the arming T0 must be, by what the members say. Those on one line are armed in turns."""
+        arming_ns: dict[str, int] = {}
+        disarm_ns = 0
+        for member, proposal in moving.proposals.items():
+            if proposal.costs is not None:
+                place = self._view.fleet.controllers[member].link.place
+                arming_ns[place] = arming_ns.get(place, 0) + proposal.costs.arm_ns
+                disarm_ns = max(disarm_ns, proposal.costs.disarm_ns)
+        return max(arming_ns.values()) + MARGIN_NS + disarm_ns
+
     def _start_way(self, moving: _Step, step: Move) -> StartWay:
         return StartWay(by=step.start, lead_ns=moving.lead_ns + READING_NS)
 
@@ -255,7 +266,7 @@ class Motion:
             await on_state("arming", "")
             if growth > 1:
                 # Clocks have to hold for longer now.
-                moving.lead_ns = growth * _lead_ns(moving)
+                moving.lead_ns = growth * self._lead_ns(moving)
                 await self._propose_once(moving, step)
             moving.t0_fleet_ns = self._throne.fleet_now_ns() + moving.lead_ns
             await self._arm(moving, step)
@@ -474,9 +485,3 @@ class Motion:
         for reply in replies.values():
             if reply.refused is not None:
                 raise refuse(reply.refused)
-
-
-def _lead_ns(moving: _Step) -> int:
-    """How far ahead of the arming T0 must be, by what the members say."""
-    costs = [proposal.costs for proposal in moving.proposals.values() if proposal.costs is not None]
-    return max(each.arm_ns for each in costs) + MARGIN_NS + max(each.disarm_ns for each in costs)

@@ -187,6 +187,8 @@ class World:
         mapping = self.driver.mapping()
         lowered = self.driver.lower(profiles, StartWay(), mapping)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
+        if mapping is not None:
+            lowered = self.driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
         await self.driver.arm(lowered, t0_ns, mapping)
         return lowered, t0_ns
 

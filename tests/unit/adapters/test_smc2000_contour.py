@@ -344,7 +344,7 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
         polling = asyncio.get_running_loop().create_task(polls())
         t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
         await driver.arm(lowered, t0_ns, mapping)
-        assert longest_ns < 400 * NS_PER_MS
+        assert longest_ns < 200 * NS_PER_MS
         await driver.verify()
         await driver.go()
         await driver.started()

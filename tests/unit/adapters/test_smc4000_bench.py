@@ -60,8 +60,8 @@ class World:
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.5) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
         driver, mapping = self.driver, self.driver.mapping()
-        lowered = driver.lower(profiles, StartWay(), mapping)
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
+        lowered = driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
         await driver.arm(lowered, t0_ns, mapping)
         await driver.verify()
         await driver.go()

@@ -33,8 +33,9 @@ def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[s
 
 async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5) -> tuple[Any, int]:
     mapping = world.driver.mapping()
-    lowered = world.driver.lower(profiles, StartWay(), mapping)
+    assert mapping is not None
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
+    lowered = world.driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
     await world.driver.arm(lowered, t0_ns, mapping)
     return lowered, t0_ns
 
