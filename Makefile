@@ -1,10 +1,10 @@
-# Two environments from two locks: .venv runs Tutti, .venv-dev also tests and checks it. Set-up is skipped
-# while the stamp is newer than the lock and pyproject.toml.
+# Three environments from three locks: .venv runs Tutti, .venv-dev also tests and checks it, .venv-thirdparty has
+# clients of other people as well. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
 PYTHON ?= python3
 PIP = -m pip --disable-pip-version-check --quiet
 VECTORS = tests/contract/vectors
 
-.PHONY: demo test check lock clean
+.PHONY: demo test test-thirdparty check lock clean
 
 .venv/.stamp: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Tutti needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -19,11 +19,22 @@ VECTORS = tests/contract/vectors
 	.venv-dev/bin/python $(PIP) install --no-deps --no-build-isolation -e .
 	touch $@
 
+.venv-thirdparty/.stamp: requirements.lock requirements-thirdparty.lock pyproject.toml
+	$(PYTHON) -m venv --clear .venv-thirdparty
+	.venv-thirdparty/bin/python $(PIP) install --require-hashes -r requirements.lock
+	.venv-thirdparty/bin/python $(PIP) install --require-hashes --no-deps -r requirements-thirdparty.lock
+	.venv-thirdparty/bin/python $(PIP) install --no-deps --no-build-isolation -e .
+	touch $@
+
 demo: .venv/.stamp
 	.venv/bin/tutti demo
 
 test: .venv-dev/.stamp
 	.venv-dev/bin/pytest -n 2
+
+# Simulated controllers against drivers from PyPI; a skipped test is a failed one.
+test-thirdparty: .venv-thirdparty/.stamp
+	TUTTI_THIRDPARTY=1 .venv-thirdparty/bin/pytest tests/thirdparty
 
 check: .venv-dev/.stamp
 	.venv-dev/bin/ruff check .
@@ -31,10 +42,11 @@ check: .venv-dev/.stamp
 	.venv-dev/bin/lint-imports
 	.venv-dev/bin/basedpyright
 
-# Needs uv; writes both locks anew from pyproject.toml.
+# Needs uv; writes the locks anew from pyproject.toml and tests/thirdparty/requirements.in.
 lock:
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header -o requirements.lock pyproject.toml
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --extra dev -c requirements.lock -o requirements-dev.lock pyproject.toml
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url -c requirements-dev.lock --overrides tests/thirdparty/overrides.txt -o requirements-thirdparty.lock tests/thirdparty/requirements.in
 
 clean:
-	rm -rf .venv .venv-dev build *.egg-info
+	rm -rf .venv .venv-dev .venv-thirdparty build *.egg-info

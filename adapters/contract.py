@@ -65,7 +65,8 @@ class AxisReading:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One poll of the whole controller. inputs and outputs: by number, true = electrically high / on.
+    """One poll of the whole controller. at_ns: the middle of the time in which the controller has looked. inputs and
+    outputs: by number, true = electrically high / on.
 
     restarted: the controller has lost its volatile state since the last poll (power cycle, reset); its axes are no
     longer referenced and nothing is armed in it any more.

@@ -57,7 +57,7 @@ class Line:
         self.stops = 0
         self.loading = False
         self.half_line = False
-        """A download has ended, without CR: to units that were not addressed the next address is no line's beginning."""
+        """A download has ended without CR: to units that were not addressed, the next address begins no line."""
         self.answered = False
         """Somebody has answered since the port was opened."""
         self.ahead: Ahead | None = None

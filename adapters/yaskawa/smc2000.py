@@ -146,7 +146,7 @@ class SMC2000Driver(Driver):
     async def poll(self) -> Reading:
         record, restarted = await self._device.poll()
         return Reading(
-            at_ns=record.received_ns,
+            at_ns=(record.sent_ns + record.received_ns) // 2,
             axes={name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()},
             inputs=_bits(record.inputs, self._points[0]),
             outputs=_bits(record.outputs, self._points[1]),

@@ -131,7 +131,7 @@ class SMC4000Driver(Driver):
         record, restarted = await self._device.poll()
         axes = {name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()}
         return Reading(
-            at_ns=record.received_ns,
+            at_ns=(record.sent_ns + record.received_ns) // 2,
             axes=axes,
             inputs=_BITS[record.inputs],
             outputs=_BITS[record.outputs],

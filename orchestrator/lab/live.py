@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+from orchestrator.lab.bridge import bridge_baud
 from orchestrator.lab.throne import reigning
 from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
 
@@ -181,7 +182,7 @@ class LiveFleet:
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
             listen += ["--frame", frame(config.link)]
         else:
-            listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}"]
+            listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}", "--baud", str(bridge_baud(config))]
         command = [sys.executable, "-m", "sim.link.process", "--model", config.adapter, "--name", name, *listen]
         for each in names:
             command += ["--unit", json.dumps(self._simulated_unit(each))]

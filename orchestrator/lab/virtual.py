@@ -22,8 +22,9 @@ from orchestrator.clock.virtual import Process, VirtualClock
 from orchestrator.coordinator.coordinator import Coordinator, Court
 from orchestrator.coordinator.journal import Journal, inline
 from orchestrator.coordinator.reign import AnotherReigns
+from orchestrator.lab.bridge import network
 from orchestrator.link.base import LinkRefused, OpenLink
-from orchestrator.link.memory import LAN, MemoryLink, MemoryWire, serial_wire
+from orchestrator.link.memory import MemoryLink, MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
 from orchestrator.model.state import ControllerState
 from sim.core.controller import Branch, SimulatedController, Timing, build_line
@@ -114,7 +115,9 @@ class VirtualFleet:
         link, hold_ns = config.link, round(config.simulate.hold_ms * NS_PER_MS)
         wire = MemoryWire(
             clock=self.clock,
-            model=serial_wire(link.baud, hold_ns=hold_ns) if isinstance(link, SerialLink) else LAN,
+            model=serial_wire(link.baud, hold_ns=hold_ns)
+            if isinstance(link, SerialLink)
+            else network(config, line.far),
             far=line.far,
             port=link.kind if link.kind in line.far.ports else line.far.ports[0],
             place=link.place,

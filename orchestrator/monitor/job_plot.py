@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from orchestrator.model.report import AxisRecording, StepRecording
 
+ROOM_BESIDE = 0.3  # of the move's duration, shown before and after it
 PLAN_POINTS = 1000
 WIDTH, HEIGHT, DPI = 9.0, 2.6, 120
 COLOUR_PLAN, COLOUR_SEEN = "#7a8ca5", "#c2410c"
@@ -40,8 +41,11 @@ def plot_step(recording: StepRecording, title: str, path: Path) -> None:
         beside.set_ylabel(f"polled - planned, {axis.unit}")
         beside.grid(alpha=0.3)
     rows[0][0].legend(loc="best", frameon=False)
+    longest_s = max(axis.profile.duration_s for axis in recording.axes.values())
     for column in rows[-1]:
         column.set_xlabel("s after T0")
+        # A long arming would leave no room for the move.
+        column.set_xlim(-ROOM_BESIDE * longest_s, (1 + ROOM_BESIDE) * longest_s)
     figure.savefig(path)
 
 

@@ -88,9 +88,14 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--model", required=True, help="a simulated model, e.g. smc4000")
     parser.add_argument("--name", required=True, help="the controller's name in the fleet file")
     parser.add_argument(
-        "--listen", required=True, type=_place, help="tcp:127.0.0.1:PORT (0: a free one), udp:… or pty:PATH"
+        "--listen",
+        required=True,
+        type=_place,
+        help="tcp:127.0.0.1:PORT (0: a free one; a serial bridge for a model without Ethernet), udp:… or pty:PATH",
     )
-    parser.add_argument("--baud", type=_baud, default=38400, help="of a pseudo-terminal; both directions are paced")
+    parser.add_argument(
+        "--baud", type=_baud, default=38400, help="of a pseudo-terminal or a bridge; both directions are paced"
+    )
     parser.add_argument("--frame", type=_frame, default="8N1", help="data bits, parity, stop bits: 8N1, 7O1, …")
     parser.add_argument("--options", type=_options, default={}, help="JSON object: the model's own options")
     parser.add_argument("--timing", type=_fields(TimingFields), default=TimingFields(), help="JSON object")

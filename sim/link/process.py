@@ -24,11 +24,15 @@ from sim.core.controller import Branch, Port, PortRefused, SimulatedController, 
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 from sim.link.arguments import PtyPlace, UdpPlace, UnitFields, first_problem, parse_arguments, units
+from sim.link.bridge import BridgeServer, listen_bridge
 from sim.link.pty import PtyServer
+from sim.link.tcp import PORT as TCP_PORT
 from sim.link.tcp import TcpServer, listen_tcp
 from sim.link.truth import TruthLog
 from sim.link.udp import UdpServer, listen_udp
 from sim.link.world import WorldRefused, change_world
+
+Server = TcpServer | UdpServer | PtyServer | BridgeServer
 
 
 class CannotStart(Exception):
@@ -115,14 +119,16 @@ def _build(model: str, asked: Sequence[UnitFields], clock: LiveClock) -> Simulat
         raise CannotStart(str(error)) from None
 
 
-async def _serve(chosen: argparse.Namespace, controller: Port, clock: LiveClock) -> TcpServer | UdpServer | PtyServer:
+async def _serve(chosen: argparse.Namespace, controller: Port, clock: LiveClock) -> Server:
     place = chosen.listen
     try:
         if isinstance(place, PtyPlace):
             return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
         if isinstance(place, UdpPlace):
             return await listen_udp(controller, place.host, place.port)
-        return await listen_tcp(controller, place.host, place.port)
+        if TCP_PORT in controller.ports:
+            return await listen_tcp(controller, place.host, place.port)
+        return await listen_bridge(controller, clock, place.host, place.port, chosen.baud, chosen.frame)
     except (PortRefused, OSError) as error:
         raise CannotStart(f"--listen: {error}") from None
 
@@ -135,9 +141,7 @@ def _opened(path: Path) -> TextIO:
         raise CannotStart(f"--truth: {path}: {error.strerror}") from None
 
 
-async def _follow(
-    lines: asyncio.StreamReader, server: TcpServer | UdpServer | PtyServer, controller: SimulatedController, name: str
-) -> None:
+async def _follow(lines: asyncio.StreamReader, server: Server, controller: SimulatedController, name: str) -> None:
     """Change the world line by line, until there are no more."""
     while line := await lines.readline():
         try:

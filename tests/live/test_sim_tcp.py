@@ -145,7 +145,7 @@ def test_it_ends_with_its_standard_input(children: Children) -> None:
         (["--listen", "tcp:0.0.0.0:1"], "0.0.0.0"),
         (["--options", '{"axes": 3}'], "axes"),
         (["--timing", '{"decode_ns": -1}'], "decode_ns"),
-        (["--model", "shrc203"], "serial"),
+        (["--model", "shrc203", "--listen", "udp:127.0.0.1:0"], "serial"),
     ],
 )
 def test_a_wrong_argument_is_one_line_and_code_2(wrong: list[str], named: str) -> None:
