@@ -8,7 +8,7 @@ from adapters.contract import CannotDo, DriverFault, Identity
 from adapters.yaskawa import arrays
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD, VARIABLES, letters, program
+from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THREAD, VARIABLES, letters, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, SharedStops, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
@@ -127,10 +127,10 @@ class Device:
 
     async def unload(self) -> None:
         """Halt our program and leave contour mode: nothing starts, now or later."""
-        for thread in (STEP_THREAD, DOG_THREAD):
+        for thread in (STEP_THREAD, DOG_THREAD, EDGE_THREAD):
             await self.session.tell(f"HX{thread}")
-        for command in LEAVE_CONTOUR:
-            # Outside contour mode there is nothing to leave, and a controller may say so.
+        for command in (*LEAVE_CONTOUR, RELEASE):
+            # Outside contour mode there is nothing to leave, without a line none to release: the controller says so.
             with suppress(Refused):
                 await self.session.tell(command)
 
@@ -290,6 +290,7 @@ def stop_commands(abort: bool) -> tuple[str, ...]:
     stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
     """
     halt = (f"HX{STEP_THREAD}", f"HX{DOG_THREAD}")
+    after = (*LEAVE_CONTOUR, f"HX{EDGE_THREAD}", RELEASE)
     if abort:
-        return ("AB", *halt, *LEAVE_CONTOUR)
-    return ("ST", halt[0], "ST", halt[1], *LEAVE_CONTOUR)
+        return ("AB", *halt, *after)
+    return ("ST", halt[0], "ST", halt[1], *after)

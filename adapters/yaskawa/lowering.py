@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from adapters.contract import CannotDo, Lowered, require_how
-from adapters.yaskawa import arrays
+from adapters.yaskawa import arrays, lines
 from adapters.yaskawa.contour import Contour, Room, fit_contour, increments, least_interval
 from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
 from adapters.yaskawa.options import Options
@@ -21,10 +21,11 @@ from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay, Term
+from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs
+from orchestrator.model.state import Costs, StartClass
 
+CLASSES: tuple[StartClass, ...] = ("clock", "line")
 STOP_EXCHANGES = 3  # a stop of motion is three commands
 CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their reading back and the short array, beyond an independent move's
 OFF_SAMPLES = 0.2  # an independent move may last so much longer or shorter than planned
@@ -54,6 +55,8 @@ class LoweredMoves(Lowered):
     moves: tuple[AxisMove, ...]
     mask: int
     load: "Registers | Records"
+    waits: lines.Wait | None = None
+    drives: lines.Drive | None = None
 
     @property
     def way(self) -> tuple[AxisMove, ...]:
@@ -129,13 +132,6 @@ def fields(values: Mapping[int, int]) -> str:
     return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
 
 
-def begin_ticks(options: Options, tick_ns: float) -> tuple[int, int]:
-    """Between how many samples after XT0 the moves begin: BG or CD takes effect some time after it, at a whole one."""
-    first = math.floor(options.decode_min_us * NS_PER_US / tick_ns) + 1
-    last = math.floor(options.begin_max_us * NS_PER_US / tick_ns) + 1
-    return first, max(first, last)
-
-
 def lower_moves(
     config: Controller,
     motors: Mapping[str, int],
@@ -151,7 +147,9 @@ def lower_moves(
 
     Where uploads are slow, trapezoids are made by the registers, however far they are off.
     """
-    require_how(how, ("clock",), "its own clock is never worse than a command from the host")
+    require_how(how, CLASSES, "its own clock is never worse than a command from the host")
+    if how.by == "line" and how.wait is None:
+        raise CannotDo("start-class", "no line is wired to start it by", "say `wiring` in the fleet file")
     if mapping is None:
         raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
     tick_ns = mapping.tick_ns
@@ -177,7 +175,7 @@ def lower_moves(
                 raise
             load = _registers(shapes, way, motors)
             note = (f"({why}; no contour: {refusal})",)
-    return _promise(load, note, profiles, motors, options, costs, how, mapping)
+    return _promise(config, load, note, profiles, motors, options, costs, how, mapping)
 
 
 def _by_registers(
@@ -285,6 +283,7 @@ def _soon_enough(
 
 
 def _promise(
+    config: Controller,
     load: Registers | Records,
     note: tuple[str, ...],
     profiles: Mapping[str, Profile],
@@ -324,19 +323,18 @@ def _promise(
     # An axis that stands still is not begun; the time it is given has no meaning.
     mask = sum(1 << move.index for move in moves if move.samples)
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + how.lead_ns)
-    first, last = begin_ticks(options, tick_ns)
-    half_tick_ns = math.ceil(tick_ns / 2)
+    waits = None if how.wait is None else lines.wait(config, how.wait)
+    drives = None if how.drive is None else lines.drive(config, how.drive, tick_ns)
     contour = isinstance(load, Records)
     begin = f"CD of {letters(mask)}" if contour else f"BG{letters(mask)}"
     return LoweredMoves(
-        start_class="clock",
+        start_class="clock" if waits is None else "line",
         durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
         path_error_counts=errors,
-        terms=(
-            Term(name="clock", earliest_ns=-bound_ns, latest_ns=bound_ns),
-            Term(name="quantisation", earliest_ns=-half_tick_ns, latest_ns=half_tick_ns),
-            Term(name="tick", earliest_ns=0, latest_ns=math.ceil((last - first) * tick_ns)),
-        ),
+        terms=lines.clock_terms(bound_ns, options, tick_ns, drives is not None)
+        if waits is None or how.wait is None
+        else lines.wait_terms(how.wait, waits, options, tick_ns),
+        edge=() if drives is None else lines.edge_terms(bound_ns, options, tick_ns),
         tick_ns=tick_ns,
         costs=costs.model_copy(
             update={
@@ -344,10 +342,17 @@ def _promise(
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),
-        commands=(*load.commands, f"XQ {entry(mask, contour)},0  (waits for T0, then {begin})", *note),
+        commands=(
+            *load.commands,
+            *([] if drives is None else [f"XQ #EDGE,3  (waits for T0, then OB{drives.number},{drives.level})"]),
+            f"XQ {entry(mask, contour)},0  (waits for {'T0' if waits is None else f'AI {waits.number}'}, then {begin})",
+            *note,
+        ),
         moves=moves,
         mask=mask,
         load=load,
+        waits=waits,
+        drives=drives,
     )
 
 

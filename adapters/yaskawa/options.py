@@ -1,5 +1,6 @@
 """What `options:` of a controller may say in the fleet file, for controllers of this dialect."""
 
+import math
 from typing import Annotated
 
 from pydantic import Field
@@ -27,6 +28,10 @@ class Options(Model):
     begin_max_us: Microseconds = Field(
         default=1500, description="From the sample that ends the wait to BG's effect, at the most, µs."
     )
+    input_fall_us: Microseconds = Field(
+        default=500, description="From an input's terminal going low to the firmware, at the most, µs (L407-411)."
+    )
+    input_rise_us: Microseconds = Field(default=1500, description="The same for going high, µs.")
     round_trip_us: Microseconds = Field(
         default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
     )
@@ -51,6 +56,20 @@ class Options(Model):
     motor_type: dict[Id, float] = Field(
         default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."
     )
+
+    def begin_ticks(self, tick_ns: float, beside: bool = False) -> tuple[int, int]:
+        """Between how many samples after XT0 moves begin: BG or CD takes effect some time after it, at a whole one.
+
+        beside: a command of another thread may come first.
+        """
+        latest_us = self.begin_max_us + (self.beside_us if beside else 0)
+        first = math.floor(self.decode_min_us * NS_PER_US / tick_ns) + 1
+        return first, max(first, math.floor(latest_us * NS_PER_US / tick_ns) + 1)
+
+    @property
+    def beside_us(self) -> int:
+        """What a command of another thread takes, at the most, µs: expressions may double it (L1626)."""
+        return 2 * self.decode_us
 
     @property
     def exchange_ns(self) -> int:

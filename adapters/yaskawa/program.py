@@ -20,6 +20,9 @@ Names begin with X and no op-code, so that no assignment can be taken for a comm
     XDL    sample in which the dog bites    XDOG   1: it has
     XN     records of full length           XM     all records
     XDT    DT of the full ones              XI     next record
+    XLI    input to begin by, as AI takes it; 0: by XT0
+    XLO    output to drive at XT0           XLV    its active level
+    XLH    samples until it is passive again
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
@@ -27,19 +30,22 @@ from adapters.yaskawa.record import AXIS_LETTERS
 
 STEP_THREAD = 0
 DOG_THREAD = 1
+EDGE_THREAD = 3
 GATE_TICKS = 40
 GATE_STEP_TICKS = 4
 # At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
 GATE_SEEN_TICKS = GATE_STEP_TICKS + 6
-START_ROOM_TICKS = 8  # from the gate to the wait there are seven commands
+START_ROOM_TICKS = 9  # from the gate to the wait there are eight commands
 DOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
+LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
+RELEASE = "OB XLO,1-XLV"  # of the line; XLO is 0, and this refused, while none is driven
 CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", *CONTOUR_VARIABLES),
+    *("XDL", "XDOG", *LINE_VARIABLES, *CONTOUR_VARIABLES),
 )
 TAIL = "XTD"
 
@@ -64,13 +70,15 @@ def program(axes: int) -> tuple[str, ...]:
     lines = ["#TUTTI;EN"]
     for mask in range(1 << axes):
         moving = letters(mask)
-        begin = f"BG{moving};" if moving else ""
-        lines += [entry(mask, False), *_let_through(), f"WT XT0-TIME;{begin}XACT=TIME;XQ #DOG,{DOG_THREAD}"]
+        begin = (f"BG{moving};" if moving else "") + "XACT=TIME"
+        lines += [entry(mask, False), *_let_through(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
+        lines.append(f"#A{mask};XQ #DOG,{DOG_THREAD}")
         lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
-        lines.append("XDONE=1;EN")
+        lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
     for mask in range(1, 1 << axes):
         lines += contour(mask, axes)
     lines += [
+        *edge(),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {GATE_STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{GATE_TICKS})",
         f"XOK=XGO&((XT0-TIME)>{START_ROOM_TICKS})",
@@ -102,10 +110,22 @@ def contour(mask: int, axes: int) -> list[str]:
         entry(mask, True),
         *_let_through(),
         f"CM {letters(mask)};DT XDT;XI=1",
+        f"JP #K{mask},XLI<>0",
         f"WT XT0-TIME;{take('0')};XACT=TIME;XQ #DOG,{DOG_THREAD}",
         f"#P{mask};WC;{take('XI')};XI=XI+1;JP #P{mask},XI<XN",
         f"#T{mask};JP #U{mask},XI>=XM",
         f"WC;DT {TAIL}[XI-XN];{take('XI')};XI=XI+1;JP #T{mask}",
         f"#U{mask};WC;DT 0;CD 0",
         f"WC;XE{chosen[0] + 1}=TIME;XDONE=1;EN",
+        f"#K{mask};AI XLI;{take('0')};XACT=TIME;XQ #DOG,{DOG_THREAD}",
+        f"JP #P{mask}",
     ]
+
+
+def edge() -> tuple[str, ...]:
+    """The lines that drive a wired line: once the gate has let the step through, active at its sample, and passive
+    again later. In a thread of its own, for BG follows the wait of the step's with nothing between."""
+    return (
+        f"#EDGE;WT {GATE_STEP_TICKS};JP #SHUT,XLATE=1;JP #EDGE,XOK=0",
+        "WT XT0-TIME;OB XLO,XLV;WT XLH;OB XLO,1-XLV;EN",
+    )

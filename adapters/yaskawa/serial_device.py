@@ -8,7 +8,7 @@ from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
 from adapters.yaskawa.line import Line
 from adapters.yaskawa.model import LEAVE_CONTOUR
-from adapters.yaskawa.program import DOG_THREAD, STEP_THREAD
+from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THREAD
 from adapters.yaskawa.record import MOTOR_OFF, MOVING, OFF_ON_ERROR, STOPPING, VELOCITY_SCALE, AxisRecord, Record
 from adapters.yaskawa.serial_polls import PolledSession
 from adapters.yaskawa.serial_session import ADDRESS
@@ -117,9 +117,10 @@ class SerialDevice(Device):
         await arrays.free(session, smc2000_program.arrays(self._axes))
 
     async def unload(self) -> None:
-        # In one go. Outside contour mode there is nothing to leave, and a controller may say so.
+        # In one go. Outside contour mode there is nothing to leave, without a line none to release: it says so.
+        threads = (STEP_THREAD, DOG_THREAD, EDGE_THREAD)
         with suppress(Refused):
-            await self.session.tell_all((f"HX{STEP_THREAD}", f"HX{DOG_THREAD}", *LEAVE_CONTOUR))
+            await self.session.tell_all((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, RELEASE))
 
     async def _unload_ours(self) -> None:
         """Ours may still wait for a start that nobody will release any more: its first line tells that it is ours, long
@@ -260,7 +261,7 @@ def stop_commands(abort: bool) -> tuple[str, ...]:
     (L9205). AB stops motion at once, and programs (L6768). A contour that has not begun yet is left by its own command;
     one that plays ends with its present record (SC 51, L11427-11493).
     """
-    return (*(("AB", "HX") if abort else ("ST", "HX", "ST")), *LEAVE_CONTOUR)
+    return (*(("AB", "HX") if abort else ("ST", "HX", "ST")), *LEAVE_CONTOUR, RELEASE)
 
 
 _NOTHING = AxisRecord(0, 0, 0, 0, 0, 0, 0, 0, 0)

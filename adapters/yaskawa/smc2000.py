@@ -25,7 +25,7 @@ from adapters.yaskawa.arrays import SlowUpload
 from adapters.yaskawa.dialect import motor_indices, send_raw
 from adapters.yaskawa.jogging import Jogging
 from adapters.yaskawa.line import SHARED, Line
-from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, Records, lower_moves
+from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, Records, lower_moves
 from adapters.yaskawa.model import SMC2000
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import FORWARD_SWITCH, OFF_ON_ERROR, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord, Record
@@ -139,7 +139,7 @@ class SMC2000Driver(Driver):
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,
         )
         orders = (2, 3) if self._contoured else (2,)
-        return Capabilities(start_classes=("clock",), orders=orders, independent_axes=False, costs=costs)
+        return Capabilities(start_classes=CLASSES, orders=orders, independent_axes=False, costs=costs)
 
     # Reading it
 

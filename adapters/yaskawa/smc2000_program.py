@@ -18,11 +18,13 @@ from adapters.yaskawa.program import (
     DOG_THREAD,
     GATE_STEP_TICKS,
     GATE_TICKS,
+    LINE_VARIABLES,
     START_ROOM_TICKS,
     STEP_THREAD,
     TAIL,
     array,
     contour,
+    edge,
     entry,
 )
 from adapters.yaskawa.serial_session import ADDRESS
@@ -40,7 +42,20 @@ OUTPUTS_OF_WORD = 16  # L13420
 def variables(axes: Sequence[int]) -> tuple[str, ...]:
     """What the program reads or sets."""
     ends = (f"XE{index + 1}" for index in axes)
-    return ("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", *ends, "XDL", "XDOG", *CONTOUR_VARIABLES)
+    return (
+        "XT0",
+        "XGO",
+        "XOK",
+        "XARM",
+        "XLATE",
+        "XACT",
+        "XDONE",
+        *ends,
+        "XDL",
+        "XDOG",
+        *LINE_VARIABLES,
+        *CONTOUR_VARIABLES,
+    )
 
 
 def contoured(axes: Sequence[int]) -> bool:
@@ -73,15 +88,18 @@ def _starts(axes: Sequence[int]) -> Iterable[str]:
     for count in range(len(axes) + 1):
         for chosen in combinations(axes, count):
             begin = f"BG{''.join(LETTERS[index] for index in chosen)};" if chosen else ""
-            yield f"{entry(sum(1 << index for index in chosen), False)};JS#GATE;JP#SHUT,XOK=0"
+            mask = sum(1 << index for index in chosen)
+            yield f"{entry(mask, False)};JS#GATE;JP#SHUT,XOK=0;JP#L{mask},XLI<>0"
             yield f"WT XT0-TIME;{begin}XACT=TIME;JP#DONE"
+            yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
             if chosen and contoured(axes):
-                yield from contour(sum(1 << index for index in chosen), chosen[-1] + 1)
+                yield from contour(mask, chosen[-1] + 1)
     # An axis that does not move holds nobody up here.
     yield f"#DONE;XQ#DOG,{DOG_THREAD}"
     for index in axes:
         yield f"AM{LETTERS[index]};XE{index + 1}=TIME"
     yield "XDONE=1;EN"
+    yield from edge()
     yield "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0"
     yield f"#HOLD;WT {GATE_STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{GATE_TICKS}"
     yield f"#PASS;XR=XT0-TIME;JP#LATE,XR<={START_ROOM_TICKS};XOK=XGO"

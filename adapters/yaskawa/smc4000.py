@@ -22,7 +22,7 @@ from adapters.yaskawa import homing
 from adapters.yaskawa.device import Device, stop_commands
 from adapters.yaskawa.dialect import motor_indices, send_raw
 from adapters.yaskawa.jogging import Jogging
-from adapters.yaskawa.lowering import STOP_EXCHANGES, LoweredMoves, lower_moves
+from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
@@ -123,7 +123,7 @@ class SMC4000Driver(Driver):
             disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        return Capabilities(start_classes=("clock",), orders=(2, 3), independent_axes=False, costs=costs)
+        return Capabilities(start_classes=CLASSES, orders=(2, 3), independent_axes=False, costs=costs)
 
     # Reading it
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from adapters.contract import CannotDo, DriverFault, Outcome, Span
 from adapters.yaskawa import arrays
 from adapters.yaskawa.device import Device
-from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records, begin_ticks, fields
+from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records, fields
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import DOG_THREAD, GATE_SEEN_TICKS, GATE_TICKS, STEP_THREAD, entry
+from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, GATE_SEEN_TICKS, GATE_TICKS, STEP_THREAD, entry
 from adapters.yaskawa.record import Record
 from adapters.yaskawa.words import stop_words
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
@@ -51,7 +51,7 @@ class Start:
         if mapping is None:
             raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
         began_ns = self._clock.now_ns()
-        first, _ = begin_ticks(self._options, mapping.tick_ns)
+        first, _ = self._options.begin_ticks(mapping.tick_ns, beside=True)
         ticks = round(mapping.ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise CannotDo("counter-full", "the sample counter ends before the start", "restart the controller")
@@ -59,7 +59,7 @@ class Start:
             raise CannotDo("late", "T0 is too near to arm", "give more lead time")
         loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
         self._require_ready(await self._device.record(), lowered)
-        session = self._device.session
+        session, waits, drives = self._device.session, lowered.waits, lowered.drives
         checked_ns = self._clock.now_ns()
         # The sample of the begin lies beside T0 by a part of one.
         phase = ticks + first - mapping.ticks(t0_ns)
@@ -67,13 +67,17 @@ class Start:
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        await session.tell_all(("XGO=0", "XARM=0", f"XT0={ticks}", f"HX{DOG_THREAD}"))
+        await session.tell_all(("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}"))
+        await session.tell(f"XLI={0 if waits is None else waits.number}")
         await self._feed(ticks)
         read_ns = self._clock.now_ns()
         contour = isinstance(lowered.load, Records)
         await session.tell(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}")
         self._loaded = loaded
         await self._wait_for_program(loaded)
+        if drives is not None:
+            await session.tell_all((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.hold_ticks}"))
+            await session.tell(f"XQ #EDGE,{EDGE_THREAD}")
         done_ns = self._clock.now_ns()
         return {
             "check": checked_ns - began_ns,
@@ -120,6 +124,10 @@ class Start:
                 raise CannotDo("late", "T0 has come while arming", "give more lead time")
 
     def _require_ready(self, record: Record, lowered: LoweredMoves) -> None:
+        if lowered.waits is not None:
+            lowered.waits.require_passive(record.inputs)
+        if lowered.drives is not None:
+            lowered.drives.require_passive(record.outputs)
         for move in lowered.moves:
             axis = record.axes[move.index]
             if axis.moving:
@@ -186,11 +194,12 @@ class Start:
         BG took effect before XACT was read and after XT0 had come, and the command between the two takes less than
         a sample: so it was in sample XACT or the one before it, and the profile's origin is a sample from the one that
         BG fell into to the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge as far off
-        as the clock mapping may be.
+        as the clock mapping may be. Behind a line, XT0 has no part in it.
         """
         loaded = self._require_loaded()
-        mapping = loaded.mapping
-        _, last = begin_ticks(self._options, mapping.tick_ns)
+        mapping, waits = loaded.mapping, loaded.lowered.waits
+        _, last = self._options.begin_ticks(mapping.tick_ns, beside=True)
+        late_ns = sum(term.latest_ns for term in loaded.lowered.terms)
         await sleep_until_ns(self._clock, mapping.host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns))
         while True:
             (acted, late, running), _ = await self._device.session.numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
@@ -198,14 +207,13 @@ class Start:
                 raise DriverFault("late", "the gate was shut before the release came; nothing started", "try again")
             if acted:
                 break
-            if not running or self._clock.now_ns() > loaded.t0_ns + EVIDENCE_WAIT_NS:
+            if not running or self._clock.now_ns() > loaded.t0_ns + late_ns + EVIDENCE_WAIT_NS:
                 words = (await self._device.session.ask("TC1")).lines[0]
                 raise DriverFault("not-started", f"the controller did not start; its last error: {words}", "try again")
             await sleep_ns(self._clock, SETTLE_NS)
         bound_ns = mapping.bound_at_ns(loaded.t0_ns)
-        span = Span(
-            mapping.host_ns(max(int(acted) - 1, loaded.ticks)) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns
-        )
+        not_before = int(acted) - 1 if waits is not None else max(int(acted) - 1, loaded.ticks)
+        span = Span(mapping.host_ns(not_before) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns)
         loaded.started = dict.fromkeys((move.axis for move in loaded.lowered.moves), span)
         return loaded.started
 

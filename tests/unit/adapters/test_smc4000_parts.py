@@ -85,9 +85,11 @@ def test_the_program_keeps_the_controllers_rules():
     assert all(1 < len(label) <= 8 for label in labels) and len(set(labels)) == len(labels)
     assert all(len(name) <= 8 and name[0] == "X" and name[:2] != "XQ" for name in VARIABLES)
     # Nothing stands between the wait and the begin.
-    waits = [line for line in lines if "WT XT0-TIME" in line]
-    assert len(waits) == 31
-    assert all(line.startswith(("WT XT0-TIME;BG", "WT XT0-TIME;CD XC", "WT XT0-TIME;CD ,")) for line in waits[1:])
+    waits = [line.partition("WT XT0-TIME;")[2] for line in lines if "WT XT0-TIME;" in line]
+    inputs = [line.partition("AI XLI;")[2] for line in lines if "AI XLI;" in line]
+    assert len(waits) == 32 and len(inputs) == 31  # one more drives the line
+    assert waits[0].startswith("XACT") and waits[-1].startswith("OB XLO") and inputs[0].startswith("XACT")
+    assert all(begin.startswith(("BG", "CD XC", "CD ,")) for begin in (*waits[1:-1], *inputs[1:]))
 
 
 @pytest.mark.parametrize(
