@@ -22,6 +22,7 @@ from sim.core.controller import Branch, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 
+AUTO = StartWay()
 SERVO = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 STEPPER = {
     "unit": "mm",
@@ -65,6 +66,8 @@ def case(
         "link": dict(link),
         "options": options,
         "axes": {name: {**kind, "motors": [motor]} for name, motor in axes.items()},
+        "inputs": {"line": {"number": 1, "active": "low"}},
+        "outputs": {"line": {"number": 1}},
     }
     return Case(config, simulate, port)
 
@@ -182,13 +185,14 @@ class World:
         plan = plan_step(moves)
         return dict(plan.stretched(plan.duration_s * stretch).profiles)
 
-    async def arm(self, profiles: Mapping[str, Profile]) -> tuple[Lowered, int]:
+    async def arm(self, profiles: Mapping[str, Profile], how: StartWay = AUTO) -> tuple[Lowered, int]:
         """Lowered and loaded; with T0, which is as near as the make allows."""
         mapping = self.driver.mapping()
-        lowered = self.driver.lower(profiles, StartWay(), mapping)
+        lowered = self.driver.lower(profiles, how, mapping)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
         if mapping is not None:
-            lowered = self.driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
+            ahead = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
+            lowered = self.driver.lower(profiles, ahead, mapping)
         await self.driver.arm(lowered, t0_ns, mapping)
         return lowered, t0_ns
 
@@ -202,6 +206,10 @@ class World:
         await self.driver.go()
         started = await self.driver.started()
         return lowered, started, await self.driver.outcome(), t0_ns, profiles
+
+    def line(self, active: bool) -> None:
+        """Make the wired input active, or passive."""
+        self.controller.set_input(1, active == (self.config.inputs["line"].active == "high"))
 
     async def rest(self, within_ns: int) -> None:
         """Wait until no axis moves."""

@@ -10,7 +10,7 @@ from adapter_worlds import CASES, World, evidence_holds, motions, run
 from adapters.contract import CannotDo, DriverFault, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import LineDrive, LineWait, StartWay
 from orchestrator.model.state import StartClass
 
 pytestmark = pytest.mark.parametrize("name", CASES)
@@ -98,6 +98,112 @@ def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
                 assert caught.value.refusal.code == "start-class"
                 assert caught.value.refusal.remedy
         assert not world.controller.motions
+
+    run(name, main)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_move_waits_for_its_line_and_its_evidence_holds_the_truth(name: str, seed: int) -> None:
+    async def main(world: World) -> None:
+        world.line(False)
+        await world.ready(60)
+        if "line" not in world.driver.capabilities.start_classes:
+            pytest.skip("this make can not wait for an input")
+        window_ns = NS_PER_MS
+        how = StartWay(wait=LineWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
+        for factor in (1.0, -0.4):
+            before = len(world.controller.motions)
+            profiles = await world.plan(targets(world, factor))
+            lowered, t0_ns = await world.arm(profiles, how)
+            assert lowered.start_class == "line"
+            await world.driver.verify()
+            await world.driver.go()
+            assert world.at_rest
+            edge_ns = t0_ns + world.draw.randrange(-window_ns, window_ns)
+            await world.until(edge_ns)
+            assert world.at_rest
+            world.line(True)
+            started = await world.driver.started()
+            outcome = await world.driver.outcome()
+            assert outcome.state == "done", outcome
+            made = motions(world, before)
+            evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
+            evidence_holds(world, outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
+            path = [term for term in lowered.terms if term.name != "line"]
+            for motion in made.values():
+                after_ns = motion.start_ns - edge_ns
+                assert sum(term.earliest_ns for term in path) <= after_ns <= sum(term.latest_ns for term in path)
+            world.line(False)
+
+    run(name, main, seed)
+
+
+def test_a_line_that_is_active_already_is_refused_and_a_disarmed_move_does_not_wait_for_it(name: str) -> None:
+    async def main(world: World) -> None:
+        world.line(False)
+        await world.ready()
+        if "line" not in world.driver.capabilities.start_classes:
+            pytest.skip("this make can not wait for an input")
+        how = StartWay(wait=LineWait(input="line", earliest_ns=0, latest_ns=NS_PER_MS))
+        profiles = await world.plan(targets(world))
+        world.line(True)
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(profiles, how)
+        assert caught.value.refusal.code == "line-level" and caught.value.refusal.remedy
+        await world.driver.disarm()
+        world.line(False)
+        for released in (False, True):
+            await world.arm(profiles, how)
+            await world.driver.verify()
+            if released:
+                await world.driver.go()
+                await world.driver.stop(False)
+            await world.driver.disarm()
+            world.line(True)
+            await sleep_ns(world.clock, NS_PER_S)
+            assert not world.controller.motions
+            world.line(False)
+        with pytest.raises(CannotDo) as caught:
+            world.driver.lower(profiles, StartWay(wait=how.wait and how.wait.model_copy(update={"input": "other"})), None)
+
+    run(name, main)
+
+
+def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
+    async def main(world: World) -> None:
+        world.line(False)
+        await world.ready(60)
+        hold_ns = 50 * NS_PER_MS
+        how = StartWay(drive=LineDrive(output="line", hold_ns=hold_ns))
+        changes: list[tuple[int, bool]] = []
+        world.controller.on_output(lambda number, level: changes.append((world.clock.now_ns(), level)))
+        for moves in (False, True):
+            changes.clear()
+            before = len(world.controller.motions)
+            profiles = await world.plan(targets(world)) if moves else {}
+            lowered, t0_ns = await world.arm(profiles, how)
+            assert lowered.edge
+            await world.driver.verify()
+            await world.driver.go()
+            assert not changes
+            assert (await world.driver.started()).keys() == profiles.keys()
+            await world.driver.outcome()
+            await world.until(t0_ns + 4 * hold_ns)
+            assert [level for _, level in changes] == [True, False]
+            (edge_ns, _), (released_ns, _) = changes
+            earliest_ns = sum(term.earliest_ns for term in lowered.edge)
+            assert earliest_ns <= edge_ns - t0_ns <= sum(term.latest_ns for term in lowered.edge)
+            assert released_ns - edge_ns >= hold_ns * 0.99
+            assert len(world.controller.motions) - before == len(profiles)
+        changes.clear()
+        await world.arm({}, how)
+        await world.driver.disarm()
+        lowered, t0_ns = await world.arm({}, how)
+        await world.driver.verify()
+        await world.driver.go()
+        await world.driver.stop(False)
+        await world.until(t0_ns + NS_PER_S)
+        assert not any(level for _, level in changes)
 
     run(name, main)
 
