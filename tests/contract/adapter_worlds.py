@@ -72,6 +72,15 @@ def case(
     return Case(config, simulate, port)
 
 
+STEPS = {
+    "unit": "mm",
+    "scale": 1000,
+    "limits": {"velocity": 10, "acceleration": 50},
+    "start_rate": {"min": 0.05, "max": 0.4},
+    "homing": {"speed": 1.5},
+}
+SMC30_LINK = {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"}
+SMC30_ENDS = {"travel_steps": [-20_000, 200_000]}
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
@@ -116,6 +125,13 @@ CASES = {
     ),
     "shrc203 behind a TCP bridge": case(
         "shrc203", TCP, {"u": "1", "v": "2"}, STEPPER, STAGE, "serial", nm_per_pulse=100
+    ),
+    "smc30 on serial": case(
+        "smc30", SMC30_LINK, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": False}, "serial", checksum=False
+    ),
+    "smc30, seven on a bus with checksum": replace(
+        case("smc30", {**SMC30_LINK, "unit": 3}, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": True}, "serial"),
+        beside=(1, 2, 4, 5, 6, 7),
     ),
 }
 

@@ -1,0 +1,46 @@
+"""What arming, disarming and stopping take at the most, from characters on the wire and the unit's decoding."""
+
+from math import ceil
+
+from adapters.smc30.lowering import LINES_BEFORE, Slots
+from adapters.smc30.options import Options
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.model.state import Costs
+
+# Characters out and in, with address, checksum and CR, at their longest; exchanges.
+_CHECK = (4 + 3 + 5 + 11, 2)  # F V1
+_POINTS = (5 + 5, 1)  # V2
+_LOAD = (5 + 5 + 3 * 9 + 9 + 2 * 12 + 8 + 3 * 8 + 10 * 3, 10)  # PO PX, S T R, D or N, G T G, A D C, Y
+_LIST = (4 + 3 + 85, 1)  # Q
+_START = (4 + 3, 1)  # E
+_SENTINEL = (8 + 8, 1)  # VR510
+_STOP = (4 + 3, 1)  # Z
+_LONGEST_LINE = 12
+_HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
+_LOOK_NS = 20 * NS_PER_MS
+
+
+def exchange_ns(options: Options, char_ns: int, *parts: tuple[int, int]) -> int:
+    """What exchanges with these characters take."""
+    late_us = options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us + options.hold_us
+    each_ns = late_us * NS_PER_US + _HOST_NS
+    return sum(characters * char_ns + exchanges * each_ns for characters, exchanges in parts)
+
+
+def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
+    """Bounds in ns for a line with this character time, whose other units may do the same at the same time.
+
+    ramp_s: the longest ramp of the motion that may have to be stopped.
+    """
+    settle_ns = options.answer_ms * NS_PER_MS + 2 * _LONGEST_LINE * char_ns
+    arm_ns = exchange_ns(options, char_ns, _CHECK, _LOAD, _LIST, _POINTS, _START, _CHECK)
+    promise_ns = exchange_ns(options, char_ns, _CHECK, _SENTINEL)
+    unload_ns = exchange_ns(options, char_ns, _STOP, _CHECK)
+    program_ns = (LINES_BEFORE * options.line_us + options.decode_us) * NS_PER_US
+    # The stops of all units are written one after another at once; each is said again in its turn.
+    stop_ns = slots.count * (_LONGEST_LINE + _STOP[0]) * char_ns + ceil(ramp_s * NS_PER_S)
+    return Costs(
+        arm_ns=slots.count * arm_ns,
+        disarm_ns=slots.count * (promise_ns + unload_ns + slots.each_ns) + settle_ns + program_ns,
+        stop_ns=stop_ns + 2 * settle_ns + slots.count * exchange_ns(options, char_ns, _STOP, _CHECK) + _LOOK_NS,
+    )

@@ -1,0 +1,360 @@
+"""One step of a unit: its program loaded and checked, started by the host or by a wired line, followed to its end."""
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import ceil, floor
+
+from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
+from adapters.smc30.line import Shot
+from adapters.smc30.lowering import Slots, SmcLowered
+from adapters.smc30.options import Options
+from adapters.smc30.session import Busy
+from adapters.smc30.unitstate import UnitState
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+
+_LOOK_NS = 20 * NS_PER_MS
+_OVERDUE_NS = NS_PER_S  # a motion that ends later than this is held, or has never begun
+
+
+@dataclass(slots=True)
+class Move:
+    """A step that is loaded. order and shot: of its starting line, from `go` on. started: when it is known."""
+
+    lowered: SmcLowered
+    t0_ns: int
+    order: FireOrder | None = None
+    shot: Shot | None = None
+    started: Span | None = None
+    running: bool = False
+    """Its program has been set going."""
+    stopped_ns: int | None = None
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Mover:
+    """Arms, starts and follows steps of one connection."""
+
+    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState, slots: Slots) -> None:
+        self._options = options
+        self._clock = clock
+        self._firer = firer
+        self._unit = unit
+        self._slots = slots
+        self.move: Move | None = None
+
+    # Before the start
+
+    async def arm(self, lowered: SmcLowered, t0_ns: int) -> Mapping[str, int]:
+        """Load the program and read it back; one that waits for a line begins to wait. Raises `CannotDo`."""
+        if self.move is not None or self._unit.doing != "nothing":
+            raise CannotDo("busy", "a motion is loaded or under way", "disarm or stop it")
+        move = self.move = Move(lowered, t0_ns)
+        try:
+            return await self._arm(move)
+        except BaseException:
+            if self.move is move and not move.running:
+                self.move = None
+            raise
+
+    async def _arm(self, move: Move) -> Mapping[str, int]:
+        lowered, unit = move.lowered, self._unit
+        if not lowered.program:
+            return {}
+        if lowered.target is not None and not unit.enabled:
+            raise CannotDo("not-enabled", f"axis {lowered.axis} is not enabled", f"enable {lowered.axis} first")
+        began_ns, since = self._clock.now_ns(), unit.session.stops
+        async with unit.loading:
+            await unit.stopped()
+            await self._require_start(lowered)
+            await unit.load(lowered.program, since)
+            loaded_ns = self._clock.now_ns()
+            if lowered.wait is not None:
+                await self._require_passive(lowered)
+                move.running = True
+                await unit.run(since, "step")
+                if not (await unit.status()).busy:
+                    raise CannotDo(
+                        "line-level",
+                        f"axis {lowered.axis} has not begun to wait for input {lowered.wait.name}",
+                        "is the line active already?",
+                    )
+            elif lowered.drive is not None:
+                await self._require_passive(lowered)
+        unit.session.require_no_stop(since)
+        return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
+
+    async def verify(self) -> None:
+        """Still loaded, still where the plan starts, or still waiting for its line. Raises `CannotDo`."""
+        move = self._require()
+        lowered, unit = move.lowered, self._unit
+        if not lowered.program:
+            return
+        if lowered.wait is not None:
+            if not (await unit.status()).busy:
+                raise CannotDo(
+                    "not-armed",
+                    f"axis {lowered.axis} does not wait for input {lowered.wait.name} any more",
+                    "arm again; has the line been active, or was the unit stopped or switched off?",
+                )
+            return
+        await self._require_start(lowered)
+        try:
+            known = unit.program == lowered.program and await unit.holds_sentinel()
+        except Busy:
+            known = False
+        if not known:
+            raise CannotDo("not-loaded", f"{unit.session.name} has lost its program", "arm again")
+
+    async def go(self) -> None:
+        """Have the starting line written in its slot, so that the motion or the edge is at T0."""
+        move = self._require()
+        lowered, session = move.lowered, self._unit.session
+        if not lowered.program or lowered.wait is not None:
+            return
+        data = session.framed("E")
+        wire_ns = session.line.wire_ns(len(data))
+        at_ns = move.t0_ns - lowered.lead_ns - wire_ns
+        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        if self._clock.now_ns() >= at_ns:
+            raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
+        shot = Shot(session.unit, at_ns, at_ns + self._slots.each_ns, wire_ns)
+        session.line.reserve(shot)
+        move.shot = shot
+        move.order = self._firer.schedule(session.line.link, data, at_ns, latest_ns)
+        move.running = True
+        self._unit.doing = "step"
+
+    async def disarm(self) -> None:
+        """Take back the starting line, or stop the waiting program. Nothing starts any more."""
+        move, self.move = self.move, None
+        if move is not None and move.running and not self._taken_back(move):
+            # Z ends a program that waits as well as one that has begun to move (L2128-L2130).
+            self._unit.stop("Z", *passive(move.lowered))
+        if move is not None:
+            self._unit.doing = "nothing"
+        await self._unit.stopped()
+
+    def interrupted(self, at_ns: int) -> None:
+        """A stop was written at that instant."""
+        move = self.move
+        if move is None:
+            return
+        move.stopped_ns = at_ns
+        if self._taken_back(move) or not move.running:
+            self.move = None
+            self._unit.doing = "nothing"
+        move.changed.set()
+
+    def _taken_back(self, move: Move) -> bool:
+        """Cancel the order to write the starting line; whether it was not and will not be written."""
+        if move.order is None or not move.order.cancel():
+            return False
+        if move.shot is not None:
+            self._unit.session.line.release(move.shot)
+        move.running = False
+        return True
+
+    # After the start
+
+    async def started(self) -> Mapping[str, Span]:
+        """When the axis started; raises `DriverFault` when it did not."""
+        move = self._require()
+        lowered = move.lowered
+        if not lowered.program:
+            return {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
+        span = await (self._started_by_line(move) if lowered.wait is not None else self._started_by_host(move))
+        move.started = span
+        await self._sleep_until(move, span.latest_ns)
+        moving = {} if lowered.target is None else dict.fromkeys(lowered.durations_s, span)
+        return {name: moving.get(name, Span(move.t0_ns, move.t0_ns)) for name in lowered.durations_s}
+
+    async def _started_by_host(self, move: Move) -> Span:
+        """Not before the line can have been at the unit, not after its answer can have begun to be sent; and from
+        there on what the program takes."""
+        assert move.order is not None and move.shot is not None
+        session = self._unit.session
+        try:
+            fired = await move.order.done()
+        except asyncio.CancelledError:
+            if move.running:
+                raise
+            raise DriverFault("not-started", "the order to start was taken back", "") from None
+        if fired.late:
+            session.line.release(move.shot)
+            move.running = False
+            raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
+        reply = await move.shot.heard
+        at_unit_ns = fired.written_ns + move.shot.wire_ns
+        least_ns, most_ns = move.lowered.program_ns
+        if reply is not None and reply.text == "Y":
+            latest_ns = reply.at_ns - session.line.wire_ns(reply.characters)
+        elif move.stopped_ns is not None or (await self._unit.status()).busy:
+            # Its answer was lost, but it is at it.
+            latest_ns = at_unit_ns + (self._options.decode_us + self._options.decode_spread_us) * NS_PER_US
+            latest_ns += self._options.wire_jitter_us * NS_PER_US
+        else:
+            move.running = False
+            said = "nothing" if reply is None else "a garbled line" if reply.text is None else repr(reply.text)
+            raise DriverFault(
+                "not-started",
+                f"{session.name} has answered {said} to the starting line, and does not move",
+                "check cable and power; is its address given twice?",
+            )
+        return Span(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns)
+
+    async def _started_by_line(self, move: Move) -> Span:
+        """By the line's window. The unit itself shows only that it is not ready, waiting or moving; where it can be
+        asked for its position meanwhile, that it has left its place."""
+        earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
+        await self._sleep_until(move, latest_ns)
+        now = await self._unit.status()
+        if now.busy or move.stopped_ns is not None or await self._unit.position() == move.lowered.target:
+            return Span(earliest_ns, latest_ns)
+        raise DriverFault(
+            "not-started",
+            f"axis {move.lowered.axis} does not wait any more, and stands at {await self._unit.position()}",
+            "was the unit stopped or switched off by hand?",
+        )
+
+    async def outcome(self) -> Outcome:
+        """Wait until the program has ended, and see where the axis stands."""
+        move = self._require()
+        lowered, unit = move.lowered, self._unit
+        if not lowered.program or move.started is None:
+            self._over(move)
+            return Outcome("done", {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s})
+        duration_s = lowered.durations_s.get(lowered.axis, 0.0)
+        await self._sleep_until(move, move.started.earliest_ns + self._device_ns(duration_s, -1))
+        overdue_ns = self._clock.now_ns() + self._program_slack_ns(move)
+        last_busy_ns = 0
+        while (now := await unit.status()).busy:
+            last_busy_ns = now.sent_ns
+            if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
+                return await self._overdue(move)
+            await sleep_ns(self._clock, _LOOK_NS)
+        await unit.stopped()
+        counts = await self._counts_at_rest()
+        self._over(move)
+        if lowered.target is None:
+            done = move.stopped_ns is None
+            ended = {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
+            return Outcome("done", ended) if done else Outcome("stopped", ended, "stopped on request")
+        if counts == lowered.target:
+            unit.limit = "none"
+            return Outcome("done", {lowered.axis: self._end(move, last_busy_ns, now.at_ns)})
+        span = Span(min(move.started.earliest_ns, now.at_ns), now.at_ns)
+        stands = f"axis {lowered.axis} stands at {counts}, not at its target {lowered.target}"
+        if move.stopped_ns is not None:
+            return Outcome("stopped", {lowered.axis: span}, f"stopped on request; {stands}")
+        forward = lowered.target > lowered.start_counts
+        unit.limit = "forward" if forward else "reverse"
+        side = "CW" if forward else "CCW"
+        return Outcome(
+            "fault", {lowered.axis: span}, f"{stands}: has the {side} end-of-travel input stopped it, or its own error?"
+        )
+
+    def _end(self, move: Move, last_busy_ns: int, ready_ns: int) -> Span:
+        """By its start and its duration, as far as the crystal may be wrong; and before it answered that it is ready.
+
+        Behind the motion there may be more program lines, so that being busy tells nothing when there are.
+        """
+        assert move.started is not None
+        seconds = move.lowered.durations_s[move.lowered.axis]
+        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1) - self._gap_spread_ns(move)
+        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1) + self._gap_spread_ns(move)
+        if move.lowered.drive is None:
+            earliest_ns = max(earliest_ns, last_busy_ns)
+        latest_ns = min(latest_ns, ready_ns)
+        return Span(min(earliest_ns, latest_ns), latest_ns)
+
+    async def _overdue(self, move: Move) -> Outcome:
+        """Held by its Stop input, or still waiting: killed, because it would go on whenever it likes (L830-L842)."""
+        assert move.started is not None
+        self._unit.stop("K", *passive(move.lowered))
+        await self._unit.stopped()
+        counts = await self._counts_at_rest()
+        self._over(move)
+        now_ns = self._clock.now_ns()
+        lowered = move.lowered
+        if counts == lowered.start_counts and lowered.wait is not None:
+            reason = f"axis {lowered.axis} has not started: input {lowered.wait.name} did not become active"
+        else:
+            reason = f"axis {lowered.axis} does not come to its end and stands at {counts}: is its Stop input active?"
+        return Outcome("fault", dict.fromkeys(lowered.durations_s, Span(move.started.earliest_ns, now_ns)), reason)
+
+    # Inside
+
+    def _over(self, move: Move) -> None:
+        if self.move is move:
+            self.move = None
+            self._unit.doing = "nothing"
+
+    def _require(self) -> Move:
+        if self.move is None:
+            raise CannotDo("not-armed", "no step is loaded", "arm it")
+        return self.move
+
+    async def _require_start(self, lowered: SmcLowered) -> None:
+        found = await self._unit.ready()
+        if lowered.target is not None and found != lowered.start_counts:
+            raise CannotDo(
+                "other-start",
+                f"axis {lowered.axis} stands at {found} steps; the plan starts at {lowered.start_counts}",
+                "plan again from where it stands",
+            )
+
+    async def _require_passive(self, lowered: SmcLowered) -> None:
+        """The line that is waited for, or driven, must not be active yet."""
+        try:
+            inputs, outputs = await self._unit.points()
+        except Busy:
+            raise CannotDo("moving", f"{self._unit.session.name} executes a program", "wait, or stop it") from None
+        for kind, point, levels in (("input", lowered.wait, inputs), ("output", lowered.drive, outputs)):
+            if point is not None and levels[point.number] == point.high:
+                raise CannotDo(
+                    "line-level",
+                    f"{kind} {point.name} ({point.number}) is active already",
+                    "make the line passive; see `active` in the fleet file",
+                )
+
+    async def _counts_at_rest(self) -> int:
+        while True:
+            try:
+                self._unit.rest_counts = await self._unit.position()
+            except Busy:
+                await sleep_ns(self._clock, _LOOK_NS)
+            else:
+                return self._unit.rest_counts
+
+    async def _sleep_until(self, move: Move, at_ns: int) -> None:
+        """Until that instant, or a stop."""
+        if move.stopped_ns is not None:
+            return
+        timer = self._clock.call_at_ns(at_ns, move.changed.set)
+        try:
+            if self._clock.now_ns() < at_ns:
+                await move.changed.wait()
+        finally:
+            timer.cancel()
+        move.changed.clear()
+
+    def _device_ns(self, seconds: float, sign: int) -> int:
+        """A duration by the slowest (1) or quickest (-1) crystal."""
+        exact = seconds * NS_PER_S * (1 + sign * self._options.clock_ppm * 1e-6)
+        return ceil(exact) if sign > 0 else floor(exact)
+
+    def _gap_spread_ns(self, move: Move) -> int:
+        shape = move.lowered.shape
+        return 0 if shape is None else 2 * (len(shape.parts) - 1) * self._options.line_spread_us * NS_PER_US
+
+    def _program_slack_ns(self, move: Move) -> int:
+        """How much longer than the motion its program may take."""
+        held = [int(line[1:]) for line in move.lowered.program if line.startswith("D") and move.lowered.drive]
+        return _OVERDUE_NS + sum(held) * 10 * NS_PER_MS
+
+
+def passive(lowered: SmcLowered) -> tuple[str, ...]:
+    """What makes the driven output passive."""
+    drive = lowered.drive
+    return () if drive is None else (f"{'C' if drive.high else 'A'}{drive.number}",)
