@@ -18,6 +18,7 @@ from adapters.contract import (
 )
 from adapters.shrc203 import fleetaxes, startup
 from adapters.shrc203.axes import letter
+from adapters.shrc203.chain import Chain, ChainMove, ChainReport
 from adapters.shrc203.costs import costs
 from adapters.shrc203.homing import home
 from adapters.shrc203.jogging import Jogging
@@ -103,7 +104,7 @@ class ShrcDriver(Driver):
         reading = await self._poller.poll()
         if reading.restarted:
             await self._recover(self._connected())
-        elif self._connected().untidy and not any(axis.moving for axis in reading.axes.values()):
+        elif self._connected().untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
             await self._moving().tidy()
         return reading
 
@@ -173,6 +174,18 @@ class ShrcDriver(Driver):
         motors = [fleetaxes.motor(self._config.axes[name]) for name in axes]
         unit.count_stop(motors)
         unit.brake(motors)
+
+    async def run_chain(
+        self, moves: Mapping[str, Sequence[ChainMove]], say: Callable[[str], None] = lambda _: None
+    ) -> ChainReport:
+        """Run sequences of moves, each begun by the unit itself when the one before it has ended; `stop` ends them.
+
+        Raises `CannotDo`; then nothing has moved. say: told of every underrun.
+        """
+        unit = self._connected()
+        if self._moving().busy:
+            raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+        return await Chain(self._config, self._clock, unit, self._options.clock_ppm, say).run(moves)
 
     async def set_output(self, number: int, on: bool) -> None:
         unit = self._connected()

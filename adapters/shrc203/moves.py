@@ -165,7 +165,8 @@ class Mover:
         if move is not None:
             self._take_back(move)
         async with self._unit.loading:
-            await self._empty()
+            if not self._unit.chaining:
+                await self._empty()
 
     async def tidy(self) -> None:
         """Empty the prebuffers that a stop has left, once nothing is loaded or under way."""
@@ -200,6 +201,7 @@ class Mover:
     def interrupted(self, at_ns: int) -> None:
         """A stop was written at that instant."""
         self._unit.untidy = True
+        self._session.changed.set()
         move = self.move
         if move is None:
             return
@@ -208,7 +210,6 @@ class Mover:
             move.output.forget()
         if self._take_back(move) or not move.released:
             self.move = None
-        self._session.changed.set()
 
     def _take_back(self, move: Move) -> bool:
         """Cancel the order to fire; whether nothing was or will be started."""

@@ -7,7 +7,7 @@ from adapters.contract import AxisReading, Reading
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import Options
 from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, triples
-from adapters.shrc203.status import faults, lost
+from adapters.shrc203.status import ERRORS, faults, lost
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.fleet import Controller
@@ -62,6 +62,7 @@ class Poller:
                 lost=lost(axis.word, excited, unit.closed_loop.get(motor, False)),
             )
             found += faults(name, axis.word)
+        unit.sound = not any(each.word & ERRORS for each in now.values())
         self._last, self._last_ns = now, line.at_ns
         if restarted:
             unit.restarts += 1

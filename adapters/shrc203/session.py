@@ -72,6 +72,7 @@ class Session:
         self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read())
         self.owed: set[int] = set()
+        self._each: Callable[[int, int], None] | None = None
         self.abandoned = False
         self.completed: dict[int, int] = {}
         self.changed = asyncio.Event()
@@ -138,6 +139,13 @@ class Session:
             self._enqueue(command, DONE, awaited=False)
         return self.link.write("".join(command + EOL for command in commands).encode())
 
+    def send(self, command: str, form: Form) -> "asyncio.Future[Line]":
+        """Write a line at once, behind what has been written, and give what will be its reply."""
+        pending = self._enqueue(command, form, awaited=True)
+        self.link.write((command + EOL).encode())
+        assert pending.reply is not None
+        return pending.reply
+
     def expect(self, command: str, written_by_ns: int) -> Pending:
         """Somebody else writes `command` by that instant: keep the place of its reply."""
         return self._enqueue(command, DONE, awaited=True, written_ns=written_by_ns)
@@ -149,9 +157,13 @@ class Session:
         if pending in self._queue:
             self._queue.remove(pending)
 
-    def owe(self, motors: set[int]) -> None:
-        """From now on a bare digit is the completion of one of `motors`."""
+    def owe(self, motors: set[int], each: Callable[[int, int], None] | None = None) -> None:
+        """From now on a bare digit is the completion of one of `motors`, and its only one.
+
+        each: called with motor and instant; then more of the same motor are owed, until `owe_nothing`.
+        """
         self.owed = set(motors)
+        self._each = each
         self.completed = {}
         self.abandoned = False
 
@@ -163,6 +175,7 @@ class Session:
     def owe_nothing(self) -> None:
         """No completion can come any more."""
         self.owed = set()
+        self._each = None
         self.abandoned = False
 
     def abandon(self) -> None:
@@ -303,6 +316,10 @@ class Session:
 
     def _is_completion(self, line: Line) -> bool:
         motor = int(line.text)
+        if motor in self.owed and self._each is not None:
+            self._each(motor, line.at_ns)
+            self.changed.set()
+            return True
         if motor in self.owed:
             self.owed.discard(motor)
             self.completed[motor] = line.at_ns

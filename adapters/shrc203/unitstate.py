@@ -16,7 +16,8 @@ from orchestrator.link.base import LinkClosed
 class UnitState:
     """One connection to one unit. excited, closed_loop: last known, by motor. sentinel: query and its due reply.
 
-    untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them.
+    untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them. sound: no
+    error stood at the last poll.
     by_hand: motors that were last set going by a jog, which sends no completion line. restarts: noticed so far.
     waiting: motors in standby for an input, as far as is known, with the pulses where they stand. line_starts: whether
     the unit takes such standbys. outputs: value of all outputs as last read or written; driving: a step switches one.
@@ -29,6 +30,7 @@ class UnitState:
     closed_loop: dict[int, bool] = field(default_factory=dict[int, bool])
     sentinel: tuple[str, str] = ("", "")
     untidy: bool = False
+    sound: bool = True
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
     by_hand: set[int] = field(default_factory=set[int])
     restarts: int = 0
@@ -42,6 +44,11 @@ class UnitState:
     @property
     def buffers(self) -> Buffers:
         return Buffers(self.session, self.controllable)
+
+    @property
+    def untidy_at_rest(self) -> bool:
+        """Whether the prebuffers are to be emptied, and can be: in an error nothing is taken, and nothing starts."""
+        return self.untidy and self.sound
 
     # Setting going, and stopping
 
