@@ -146,6 +146,8 @@ class LiveFleet:
                 simulate = config.simulate.model_copy(update={"link": link})
                 controllers[name] = config.model_copy(update={"simulate": simulate})
                 self.say(f"{name}: simulated {config.adapter} on {link.place}")
+        for each in self.fleet.connections:
+            self.tell_simulator(each.target, input=(each.feeds.number, each.level(False)))
         self.fleet = self.fleet.model_copy(
             update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
         )
@@ -204,6 +206,17 @@ class LiveFleet:
             },
             "world": str(world_pipe(self.state, name)),
             "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
+            "wires": [
+                {
+                    "output": each.driven_by.number,
+                    "world": str(world_pipe(self.state, each.target)),
+                    "input": each.feeds.number,
+                    "level_when_on": each.level(True),
+                    "delay_us": sum(each.delay_us) // 2,
+                }
+                for each in self.fleet.connections
+                if each.source == name
+            ],
         }
 
     def _host_command(self, host: str, file: Path) -> list[str]:

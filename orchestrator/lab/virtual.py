@@ -25,7 +25,7 @@ from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.lab.bridge import network
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, serial_wire
-from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
+from orchestrator.model.fleet import Connection, Controller, Fleet, SerialLink, by_line
 from orchestrator.model.state import ControllerState
 from sim.core.controller import Branch, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
@@ -48,9 +48,14 @@ class _Host:
 
 
 class VirtualFleet:
-    """`fleet` simulated as a whole; everything random in it comes from `seed`. Make it outside every process."""
+    """`fleet` simulated as a whole; everything random in it comes from `seed`. Make it outside every process.
 
-    def __init__(self, fleet: Fleet, clock: VirtualClock, seed: int = 0, guardian: bool = True) -> None:
+    wired: how the world is really wired, where that is not as the fleet file says.
+    """
+
+    def __init__(
+        self, fleet: Fleet, clock: VirtualClock, seed: int = 0, guardian: bool = True, wired: Fleet | None = None
+    ) -> None:
         self.fleet = fleet
         self.clock = clock
         self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
@@ -68,6 +73,8 @@ class VirtualFleet:
         self._starts = 0
         for names in by_line(fleet):
             self._simulate(names)
+        for connection in (wired or fleet).connections:
+            self._connect(connection)
 
     # The fleet's life
 
@@ -136,6 +143,24 @@ class VirtualFleet:
             timing=Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
             seed=seed,
         )
+
+    def _connect(self, connection: Connection) -> None:
+        """Have an input follow an output, some time later; the delay of each wire is its own, within its bounds."""
+        least_ns, most_ns = (each * NS_PER_US for each in connection.delay_us)
+        delay_ns = self._draw.randint(least_ns, most_ns)
+        source, number = self.controllers[connection.source], connection.driven_by.number
+
+        def feed(on: bool) -> None:
+            level = connection.level(on)
+            self.within(connection.target, lambda unit: unit.set_input(connection.feeds.number, level))
+
+        def changed(output: int, on: bool) -> None:
+            if output == number:
+                # A wire belongs to no process.
+                Context().run(self.clock.call_at_ns, self.clock.now_ns() + delay_ns, lambda: feed(on))
+
+        self.within(connection.source, lambda unit: unit.on_output(changed))
+        feed(source.output(number))
 
     def within(self, controller: str, action: Callable[[SimulatedController], None]) -> None:
         """Do something to a simulated controller's physical world, as a part of its own process."""

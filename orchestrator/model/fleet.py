@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -324,10 +325,43 @@ class Controller(Model):
 
 
 class Wire(Model):
-    """An output of one controller that is wired to inputs of others."""
+    """An output of one controller that is wired to inputs of others: when it is active, they are.
+
+    Moves can be started by it.
+    """
 
     from_: str = Field(alias="from", description="controller.output")
     to: list[str] = Field(min_length=1, description="controller.input, one or more")
+    delay_us: tuple[int, int] = Field(
+        default=(0, 50), description="From the output to an input's terminal, at least and at the most, µs."
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> "Wire":
+        least_us, most_us = self.delay_us
+        if not 0 <= least_us <= most_us <= 100_000:
+            raise ValueError(f"delay_us is [{least_us}, {most_us}]; it must be [least, most], from 0 to 100000")
+        twice = sorted({end for end in self.to if self.to.count(end) > 1})
+        if twice:
+            raise ValueError(f"{twice[0]} stands twice in `to`; name each input once")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """One wire from an output to an input, both by controller, name and point."""
+
+    source: str
+    output: str
+    driven_by: Output
+    target: str
+    input: str
+    feeds: Input
+    delay_us: tuple[int, int]
+
+    def level(self, on: bool) -> bool:
+        """The input's electrical level while the output is `on`: wired so that both are active at once."""
+        return (on == (self.driven_by.active == "high")) == (self.feeds.active == "high")
 
 
 class Permit(Model):
@@ -380,11 +414,27 @@ class Fleet(Model):
             self._point(permit.input, "inputs")
             for name in permit.axes or []:
                 self.expand(name)
+        fed: dict[str, str] = {}
         for wire in self.wiring:
             self._point(wire.from_, "outputs")
             for end in wire.to:
                 self._point(end, "inputs")
+                if end in fed:
+                    raise ValueError(f"input {end} is wired to {fed[end]} and to {wire.from_}; wire it to one output")
+                fed[end] = wire.from_
         return self
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Every wire of the fleet, from its output to each of its inputs."""
+        found: list[Connection] = []
+        for wire in self.wiring:
+            source, _, output = wire.from_.partition(".")
+            for end in wire.to:
+                target, _, name = end.partition(".")
+                driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
+                found.append(Connection(source, output, driven_by, target, name, feeds, wire.delay_us))
+        return found
 
     def _homing_dependencies(self) -> None:
         """Every `after` names an axis, and no axis waits for itself by way of others."""

@@ -36,6 +36,19 @@ class OscillatorFields(BaseModel):
     seed: int = 0
 
 
+class WireFields(BaseModel):
+    """A wire from an output of a simulated controller to an input of another: while the output is on, the input has
+    `level_when_on`. world: the named pipe of the other one's world."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    output: int = Field(ge=0)
+    world: Path
+    input: int = Field(ge=0)
+    level_when_on: bool = True
+    delay_us: int = Field(default=0, ge=0, le=100_000)
+
+
 class UnitFields(BaseModel):
     """`--unit`: one of several controllers that share the link. truth, world: as the arguments of these names."""
 
@@ -49,6 +62,7 @@ class UnitFields(BaseModel):
     seed: int = 0
     truth: Path | None = None
     world: Path | None = None
+    wires: list[WireFields] = Field(default_factory=list[WireFields])
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from sim.link.tcp import PORT as TCP_PORT
 from sim.link.tcp import TcpServer, listen_tcp
 from sim.link.truth import TruthLog
 from sim.link.udp import UdpServer, listen_udp
+from sim.link.wires import follow_outputs
 from sim.link.world import WorldRefused, change_world
 
 Server = TcpServer | UdpServer | PtyServer | BridgeServer
@@ -67,6 +68,7 @@ async def _run(chosen: argparse.Namespace) -> None:
             controller = line.units[unit.name]
             if unit.truth is not None:
                 TruthLog(controller, clock, cleanup.enter_context(_opened(unit.truth)))
+            follow_outputs(controller, unit.wires, clock)
             if unit.world is not None:
                 more = await _named_pipe(unit.world)
                 listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, unit.name))
