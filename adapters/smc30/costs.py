@@ -10,8 +10,8 @@ from orchestrator.model.state import Costs
 # Characters out and in, with address, checksum and CR, at their longest; exchanges.
 _CHECK = (4 + 3 + 5 + 11, 2)  # F V1
 _POINTS = (5 + 5, 1)  # V2
-_LOAD = (5 + 5 + 3 * 9 + 9 + 2 * 12 + 8 + 3 * 8 + 10 * 3, 10)  # PO PX, S T R, D or N, G T G, A D C, Y
-_LIST = (4 + 3 + 85, 1)  # Q
+_LOAD = (5 + 5 + 3 * 9 + 9 + 3 * 12 + 2 * 8 + 3 * 8 + 14 * 3, 14)  # PO PX, S T R, D or N, G T G T G, A D C, Y
+_LIST = (4 + 3 + 110, 1)  # Q
 _START = (4 + 3, 1)  # E
 _SENTINEL = (8 + 8, 1)  # VR510
 _STOP = (4 + 3, 1)  # Z

@@ -5,8 +5,8 @@ to end (L2286). The manual gives no formula; a constant acceleration is what its
 common. What happens when both ramps do not fit into the move it does not say, so that such numbers are not used.
 
 At a few tens of steps/s whole numbers of steps/s are coarse, and nothing is gained by ramps. There a move is made of
-two commands with a constant rate each, whose steps add up to the wanted time. Between them the motor stands for the two
-program lines that the second one takes, which at such rates is a small part of a step.
+two or three commands with a constant rate each, whose steps add up to the wanted time. Between them the motor stands
+for the two program lines that the next one takes, which at such rates is a small part of a step.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,8 @@ from adapters.smc30.unitaxis import RAMP_MAX, TOP_MIN, Bounds
 _GOOD_ENOUGH_S = 20e-6  # a tenth of what the interpreter's line times vary by; less is not looked for
 _FEW, _MANY = 10, 60  # values of a number that are tried, evenly over what is allowed: at first, and if need be
 _NEAR = 4  # and so many on each side of the planned one
-_SPLIT_S = 100e-6  # what a single command misses by more is tried with two
+_SPLIT_S = 100e-6  # what a single command misses by more is tried with two, and then with three
+_INNER = 12  # steps of the one in the middle, at most
 _ABOVE = 2.0  # the quicker of two rates is at most so many times the mean
 _ALL = 6000  # of fewer combinations all are tried
 
@@ -70,7 +71,7 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A whole move: one command, or two with a pause between them."""
+    """A whole move: one command, or several with a pause between them."""
 
     parts: tuple[Ramp, ...]
     gap_s: float = 0.0
@@ -118,35 +119,51 @@ def allowed(ramp: Ramp, limits: Bounds) -> bool:
 
 
 def fit(steps: int, duration_s: float, ramp_s: float, limits: Bounds, gap_s: float) -> Shape | None:
-    """The numbers of a whole move; gap_s: the pause between two commands.
+    """The numbers of a whole move; gap_s: the pause between commands.
 
     None: no numbers keep the limits. Where the wanted time is out of reach the result is the nearest that can be done.
     """
     one = _one(steps, duration_s, ramp_s, limits)
     if one is None or abs(one.duration_s - duration_s) <= _SPLIT_S:
         return None if one is None else Shape((one,))
-    two = _two(steps, duration_s, limits, gap_s)
-    if two is None or abs(two.duration_s - duration_s) >= abs(one.duration_s - duration_s):
-        return Shape((one,))
-    return two
-
-
-def _two(steps: int, duration_s: float, limits: Bounds, gap_s: float) -> Shape | None:
-    """Two constant rates about the mean, neither above what the motor starts at."""
-    best: Shape | None = None
-    moving_s = duration_s - gap_s
-    mean = steps / moving_s if moving_s > 0 else limits.start_max + 1
-    most = min(limits.start_max, limits.top)
-    for slow in range(TOP_MIN, min(most, floor(mean)) + 1):
-        for quick in range(max(slow + 1, ceil(mean)), min(most, floor(_ABOVE * mean) + 1) + 1):
-            first = round((moving_s - steps / quick) / (1 / slow - 1 / quick))
-            if not 1 <= first < steps:
-                continue
-            parts = Ramp(first, max(slow, limits.start_min), slow, 1), Ramp(steps - first, quick, quick, 1)
-            found = Shape(parts, gap_s)
-            if best is None or abs(found.duration_s - duration_s) < abs(best.duration_s - duration_s):
-                best = found
+    best = Shape((one,))
+    for between in (False, True):
+        split = _split(steps, duration_s, limits, gap_s, between)
+        if split is not None and abs(split.duration_s - duration_s) < abs(best.duration_s - duration_s):
+            best = split
+        if abs(best.duration_s - duration_s) <= _SPLIT_S:
+            break
     return best
+
+
+def _split(steps: int, duration_s: float, limits: Bounds, gap_s: float, between: bool) -> Shape | None:
+    """Two constant rates about the mean, none above what the motor starts at; or a third one between them."""
+    best: Shape | None = None
+    moving_s = duration_s - gap_s * (2 if between else 1)
+    if moving_s <= 0:
+        return None
+    for slow, quick, middle in _rates(steps / moving_s, min(limits.start_max, limits.top), between):
+        for inner in range(1, min(_INNER, steps - 2) + 1) if middle else (0,):
+            rest_s, rest = (moving_s - inner / middle, steps - inner) if middle else (moving_s, steps)
+            first = round((rest_s - rest / quick) / (1 / slow - 1 / quick))
+            if not 1 <= first < rest:
+                continue
+            lengths = ((first, slow), (inner, middle), (rest - first, quick))
+            found = Shape(tuple(Ramp(count, rate, rate, 1) for count, rate in lengths if count), gap_s)
+            error_s = abs(found.duration_s - duration_s)
+            if best is None or error_s < abs(best.duration_s - duration_s):
+                best = found
+            if error_s <= _GOOD_ENOUGH_S:
+                return best
+    return best
+
+
+def _rates(mean: float, most: int, between: bool) -> Iterator[tuple[int, int, int]]:
+    """A rate below the mean, one above it, and one between them or 0; the nearest to the mean first."""
+    for slow in range(min(most, floor(mean)), TOP_MIN - 1, -1):
+        for quick in range(max(slow + 1, ceil(mean)), min(most, floor(_ABOVE * mean) + 1) + 1):
+            for middle in range(slow + 1, quick) if between else (0,):
+                yield slow, quick, middle
 
 
 def _one(steps: int, duration_s: float, ramp_s: float, limits: Bounds) -> Ramp | None:

@@ -112,6 +112,32 @@ def poll(as_json: bool, seconds: float) -> None:
     console.print(table)
 
 
+@bench.command(epilog="Example: tutti bench bus --json")
+@json_option
+@click.option("--rounds", default=300, show_default=True, type=click.IntRange(10, 100_000), help="Starts each way.")
+def bus(as_json: bool, rounds: int) -> None:
+    """Start seven SMC30 on one bus at 9,600 baud together, and say how far apart they begin, in virtual time.
+
+    By E to one after another, by the adapter's slots with the waiting in the programs, and by a wired line.
+    """
+    from orchestrator.lab.bench_smc30_bus import bench_smc30_bus
+    from orchestrator.monitor.tables import plain_table
+
+    rows = bench_smc30_bus(rounds)
+    if as_json:
+        print_json({"rows": [row._asdict() for row in rows], "rounds": rounds})
+        return
+    table = plain_table(
+        ["seven SMC30, started by", "n>", "p50, ms>", "p99, ms>", "max, ms>", "off T0>", "asked", "met"]
+    )
+    for row in rows:
+        met = "" if row.met is None else "yes" if row.met else "NO"
+        off = "" if row.off_ms is None else f"{row.off_ms:.2f}"
+        spans = (f"{ms:.2f}" for ms in (row.p50_ms, row.p99_ms, row.max_ms))
+        table.add_row(row.way, str(row.n), *spans, off, row.asked, met)
+    console.print(table)
+
+
 @bench.command(epilog="Example: tutti bench sim --controllers 64 --json")
 @json_option
 @click.option("--controllers", default=64, show_default=True, type=click.IntRange(1, 512), help="Of four axes each.")
@@ -195,13 +221,13 @@ def lowering(as_json: bool, make: str, moves: int) -> None:
 
     Jerk-limited moves of four axes over crystals of ±100 ppm: the distance to the plan. Trapezoids: the duration, as
     planned, as lowered, and of a seeded part of them as executed; those of a cruise below 20,000 counts/s are a tenth
-    as many. Some minutes for the 10,000.
+    as many. Some minutes for the 10,000. An SMC30 is told whole steps/s: its moves are shown by their mean rate.
     """
-    from orchestrator.lab.bench_lowering import SUBJECTS, bench_lowering
+    from orchestrator.lab.bench_lowering import MAKES, bench_lowering
     from orchestrator.monitor.tables import plain_table
 
-    if make not in SUBJECTS:
-        raise click.BadParameter(f"{make!r}; known are {', '.join(SUBJECTS)}", param_hint="--make")
+    if make not in MAKES:
+        raise click.BadParameter(f"{make!r}; known are {', '.join(MAKES)}", param_hint="--make")
     found = bench_lowering(make, moves)
     if as_json:
         print_json(
@@ -222,6 +248,29 @@ def lowering(as_json: bool, make: str, moves: int) -> None:
     for each in found.chosen:
         ways = ", ".join(f"{count} by {way}" for way, count in sorted(each.ways.items()))
         console.print(f"{each.cruise}: {ways}", highlight=False)
+
+
+@bench.command("shrc-chain", epilog="Example: tutti bench shrc-chain --json")
+@json_option
+@click.option("--moves", default=1000, show_default=True, type=click.IntRange(2, 100_000), help="Of each chain.")
+@click.option("--seeds", default=100, show_default=True, type=click.IntRange(1, 10_000), help="Chains of each kind.")
+def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
+    """Run chains of prebuffered moves on a simulated SHRC-203 at 38,400 baud, in virtual time.
+
+    How long a move takes with its hand-over, for one axis and for three, and whether a chain ran dry. Some minutes.
+    """
+    from orchestrator.lab.bench_chain import bench_chain
+    from orchestrator.monitor.tables import plain_table
+
+    figures = bench_chain(moves, seeds)
+    if as_json:
+        print_json({"rows": [each._asdict() | {"met": each.met} for each in figures]})
+        return
+    table = plain_table(["axes>", "chains>", "ms a move>", "asked>", "least ahead, ms>", "underruns>", "met"])
+    for each in figures:
+        values = (each.axes, each.seeds, each.move_ms, each.asked_ms, each.ahead_ms, each.underruns)
+        table.add_row(*map(str, values), "yes" if each.met else "NO")
+    console.print(table)
 
 
 def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:

@@ -18,6 +18,8 @@ from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
+from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.lab.bench_lowering_smc30 import bench_smc30
 from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay
@@ -42,35 +44,6 @@ SIMULATED = 25  # of so many lowered trapezoids one is executed
 LEAST_SIMULATED = 20
 CONTOURS = 1000  # for so many trapezoids there is one contour with each crystal
 ASKED_RECORD, ASKED_BETWEEN, ASKED_P99_MS = 1.0, 1.0, 0.2
-
-
-class Figure(NamedTuple):
-    """A distance over `n` values, in `unit`. asked: what it should keep, in words; met: whether it does."""
-
-    what: str
-    n: int
-    p50: float
-    p99: float
-    max: float
-    unit: str
-    asked: str = ""
-    met: bool | None = None
-
-
-class Chosen(NamedTuple):
-    """How many trapezoids of a range of speeds were lowered in which way."""
-
-    cruise: str
-    ways: dict[str, int]
-
-
-class LoweringFigures(NamedTuple):
-    """What was found for one make."""
-
-    make: str
-    moves: int
-    figures: list[Figure]
-    chosen: list[Chosen]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +97,15 @@ SUBJECTS = {
 }
 
 
+OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {"smc30": bench_smc30}
+"""Makes with a benchmark of their own, by number of moves and seed."""
+MAKES = (*SUBJECTS, *OTHERS)
+
+
 def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
-    """Lower `moves` trapezoids, execute a seeded part of them and some contours. make: one of `SUBJECTS`."""
+    """Lower `moves` trapezoids, execute a seeded part of them and some contours. make: one of `MAKES`."""
+    if make in OTHERS:
+        return OTHERS[make](moves, seed)
     subject = SUBJECTS[make]
     at_record: list[float] = []
     between: list[float] = []
@@ -161,16 +141,6 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
 
 def _keeps_duration(found: Figure) -> bool:
     return found.p99 < ASKED_P99_MS
-
-
-def figure(
-    what: str, values: list[float], unit: str, asked: str = "", keeps: Callable[[Figure], bool] | None = None
-) -> Figure:
-    """Percentiles by nearest rank."""
-    ordered = sorted(values)
-    p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
-    found = Figure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, asked)
-    return found if keeps is None else found._replace(met=keeps(found))
 
 
 # A controller on a wire

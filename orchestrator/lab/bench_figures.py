@@ -1,0 +1,44 @@
+"""Figures of the benchmarks of lowering: percentiles, what is asked of them, and which way was chosen how often."""
+
+from collections.abc import Callable
+from math import ceil
+from typing import NamedTuple
+
+
+class Figure(NamedTuple):
+    """A distance over `n` values, in `unit`. asked: what it should keep, in words; met: whether it does."""
+
+    what: str
+    n: int
+    p50: float
+    p99: float
+    max: float
+    unit: str
+    asked: str = ""
+    met: bool | None = None
+
+
+class Chosen(NamedTuple):
+    """How many trapezoids of a range of speeds were lowered in which way."""
+
+    cruise: str
+    ways: dict[str, int]
+
+
+class LoweringFigures(NamedTuple):
+    """What was found for one make."""
+
+    make: str
+    moves: int
+    figures: list[Figure]
+    chosen: list[Chosen]
+
+
+def figure(
+    what: str, values: list[float], unit: str, asked: str = "", keeps: Callable[[Figure], bool] | None = None
+) -> Figure:
+    """Percentiles by nearest rank."""
+    ordered = sorted(values)
+    p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
+    found = Figure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, asked)
+    return found if keeps is None else found._replace(met=keeps(found))
