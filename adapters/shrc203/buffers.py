@@ -31,15 +31,19 @@ class Buffers:
         found = entries(await self._session.ask(query, amounts(len(self._controllable))))
         return dict(zip(self._controllable, found, strict=True))
 
-    async def dangerous(self, besides: dict[int, int] | None = None) -> set[int]:
-        """Motors that a `G:` would move. besides: distances that are meant to be there, by motor."""
+    async def line(self) -> str:
+        """The linear interpolation (KP:) that is queued, as the unit words it; `NS` for none."""
+        return await self._session.ask("?:KP", NOT_SET)
+
+    async def dangerous(self, besides: dict[int, int] | None = None, line: str = "NS") -> set[int]:
+        """Motors that a `G:` would move. besides: distances that are meant to be there, by motor; line: the same of an
+        interpolation."""
         meant = besides or {}
         found = {motor for motor, each in (await self.moves()).items() if (each or 0) != meant.get(motor, 0)}
         for query in ("?:APW", "?:WTW", "?:WIW"):
             found |= {motor for motor, each in (await self._queued(query)).items() if each is not None}
-        for query in ("?:EP", "?:KP"):
-            if await self._session.ask(query, NOT_SET) != "NS":
-                found |= set(self._controllable)
+        if await self._session.ask("?:EP", NOT_SET) != "NS" or await self.line() != line:
+            found |= set(self._controllable)
         return found
 
     async def clear(self, motors: set[int]) -> None:

@@ -1,13 +1,14 @@
 """Profiles to lines of the SHRC-203: one prebuffer move an axis, all started by one `G:`, or by an input."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
+from adapters.shrc203.interpolation import Steady, Straight, straight_line
 from adapters.shrc203.lines import Drive, Wait, driven, edge_terms, waited_for, waiting_terms
 from adapters.shrc203.options import Options
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Trapezoid, fit
@@ -24,6 +25,8 @@ _WHY_NOT = {
 }
 # A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
 _SHORT_ROOM = 0.02
+# An interpolated line must be nearer to the plan by so many pulses: the unit goes in whole ones.
+_NEARER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +48,20 @@ class AxisMove:
     motor: int
     start_counts: int
     distance: int
-    shape: Trapezoid | None
+    shape: Trapezoid | Steady | None
 
 
 @dataclass(frozen=True, slots=True)
 class ShrcLowered(Lowered):
-    """What `arm` needs: the moves, the two lines that load and start them, and the lines by wire."""
+    """What `arm` needs: the moves, the two lines that load and start them, and the lines by wire. straight: the moves
+    are parts of one interpolated line."""
 
     moves: tuple[AxisMove, ...] = ()
     load: str = ""
     start: str = ""
     wait: Wait | None = None
     drive: Drive | None = None
+    straight: Straight | None = None
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -78,11 +83,9 @@ def lower(
         require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
-    moves = tuple(
-        sorted((_move(name, config.axes[name], each) for name, each in profiles.items()), key=lambda each: each.motor)
-    )
+    moves, straight = _moves(config, options, profiles, interpolated=wait is None)
     running = tuple(each for each in moves if each.shape is not None)
-    load = load_line(running) if running else ""
+    load = straight.command if straight is not None else load_line(running) if running else ""
     go = start_line(running) if running else ""
     behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * wire.char_ns if running and wait is None else 0
     return ShrcLowered(
@@ -99,7 +102,41 @@ def lower(
         start=go,
         wait=wait,
         drive=drive,
+        straight=straight,
     )
+
+
+def _moves(
+    config: Controller, options: Options, profiles: Mapping[str, Profile], interpolated: bool
+) -> tuple[tuple[AxisMove, ...], Straight | None]:
+    """The part of every axis; of a straight line by the unit's interpolation, where that is nearer to the plan than
+    moves of single axes, or these can not be so slow.
+
+    What an interpolated line sends at its end is not documented (L4653), so that it must be worth it.
+    """
+    ways = {name: _way(name, config.axes[name], each) for name, each in profiles.items()}
+    running = tuple(each for each in ways.values() if each.distance)
+    standing = tuple(each for each in ways.values() if not each.distance)
+    line = straight_line(config, options, profiles, [each.name for each in running]) if interpolated else None
+    try:
+        alone = tuple(_alone(config.axes[each.name], each, profiles[each.name]) for each in running)
+    except CannotDo as refused:
+        if line is None or refused.refusal.code != "too-slow":
+            raise
+        alone = None
+    parts = () if line is None else _parts(line, running)
+    if alone is not None and (not parts or _worst(profiles, parts) > _worst(profiles, alone) - _NEARER):
+        parts, line = alone, None
+    return tuple(sorted((*parts, *standing), key=lambda each: each.motor)), line
+
+
+def _worst(profiles: Mapping[str, Profile], moves: tuple[AxisMove, ...]) -> float:
+    return max((path_error(profiles[each.name], each) for each in moves), default=0.0)
+
+
+def _parts(line: Straight, moves: tuple[AxisMove, ...]) -> tuple[AxisMove, ...]:
+    """The axes of an interpolated line."""
+    return tuple(replace(each, shape=Steady(abs(each.distance), line.duration_s)) for each in moves)
 
 
 def _shown(
@@ -133,7 +170,8 @@ def _term(name: Literal["host", "wire", "firmware"], early_us: int, late_us: int
 def load_line(moves: tuple[AxisMove, ...]) -> str:
     """`MP:A+P10000-P4000,S2F5714R250S5F2285R250` (L3124-L3167); relative, so that it is exact in commanded pulses."""
     where = "".join(f"{'-' if each.distance < 0 else '+'}P{abs(each.distance)}" for each in moves)
-    speeds = "".join(f"S{each.shape.s}F{each.shape.f}R{each.shape.r}" for each in moves if each.shape is not None)
+    shapes = [each.shape for each in moves if isinstance(each.shape, Trapezoid)]
+    speeds = "".join(f"S{shape.s}F{shape.f}R{shape.r}" for shape in shapes)
     return f"MP:{letter(each.motor for each in moves)}{where},{speeds}"
 
 
@@ -142,20 +180,24 @@ def start_line(moves: tuple[AxisMove, ...]) -> str:
     return f"G:{letter(each.motor for each in moves)}"
 
 
-def _move(name: str, axis: Axis, profile: Profile) -> AxisMove:
+def _way(name: str, axis: Axis, profile: Profile) -> AxisMove:
+    """What an axis has to do, without a shape yet."""
     if any(profile.jerks):
         raise CannotDo("jerk", f"axis {name}: the SHRC-203 can not limit jerk", "leave `jerk` out of the axis's limits")
     distance = profile.end_counts - profile.start_counts
-    if distance == 0:
-        return AxisMove(name, motor(axis), profile.start_counts, 0, None)
-    if abs(distance) > DISTANCE_MAX or abs(profile.end_counts) > DISTANCE_MAX:
+    if distance and (abs(distance) > DISTANCE_MAX or abs(profile.end_counts) > DISTANCE_MAX):
         raise CannotDo(
             "too-far",
             f"axis {name}: a move of {distance} pulses to {profile.end_counts} is beyond {DISTANCE_MAX}",
             "make it shorter",
         )
-    limits, wanted_s = bounds(axis), profile.duration_s
-    shape = fit(abs(distance), wanted_s, profile.durations_s[0], limits)
+    return AxisMove(name, motor(axis), profile.start_counts, distance, None)
+
+
+def _alone(axis: Axis, move: AxisMove, profile: Profile) -> AxisMove:
+    """The move of an axis by itself. Raises `CannotDo`."""
+    limits, wanted_s, way, name = bounds(axis), profile.duration_s, abs(move.distance), move.name
+    shape = fit(way, wanted_s, profile.durations_s[0], limits)
     if shape is None:
         raise CannotDo(
             "start-rate",
@@ -166,11 +208,11 @@ def _move(name: str, axis: Axis, profile: Profile) -> AxisMove:
     if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
         raise CannotDo(
             "too-slow",
-            f"axis {name}: {abs(distance)} pulses in {wanted_s:.6g} s is slower than the unit can; the longest that it "
+            f"axis {name}: {way} pulses in {wanted_s:.6g} s is slower than the unit can; the longest that it "
             f"can take within ramps of {RAMP_MAX_MS} ms and its start speeds is {shape.duration_s:.6g} s",
             f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
         )
-    return AxisMove(name, motor(axis), profile.start_counts, distance, shape)
+    return replace(move, shape=shape)
 
 
 def path_error(profile: Profile, move: AxisMove) -> float:

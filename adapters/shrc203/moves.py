@@ -128,7 +128,10 @@ class Mover:
             await self._standby.check(move.lowered.wait)
         else:
             await self._check_rest(move.lowered.moves)
-        self._compare(move, await self._unit.buffers.moves())
+        if move.lowered.straight is not None:
+            self._compare_line(move.lowered.straight.held, await self._unit.buffers.line())
+        else:
+            self._compare(move, await self._unit.buffers.moves())
 
     async def go(self) -> None:
         """Have the starting line, or the one that switches the output, written so that its end is at the unit
@@ -460,11 +463,20 @@ class Mover:
                 )
 
     async def _check_loaded(self, move: Move) -> None:
-        meant = {each.motor: each.distance for each in move.lowered.moves}
-        others = await self._unit.buffers.dangerous(meant)
+        straight = move.lowered.straight
+        if straight is not None:
+            others = await self._unit.buffers.dangerous(line=straight.held)
+        else:
+            others = await self._unit.buffers.dangerous({each.motor: each.distance for each in move.lowered.moves})
         if others:
             raise CannotDo(
                 "not-loaded", f"the prebuffer of axis {letter(others)} does not hold what was loaded", "arm again"
+            )
+
+    def _compare_line(self, meant: str, found: str) -> None:
+        if found != meant:
+            raise CannotDo(
+                "not-loaded", f"the line {found} is loaded instead of {meant}", "arm again; was the unit switched off?"
             )
 
     def _compare(self, move: Move, found: Mapping[int, int | None]) -> None:

@@ -1,0 +1,173 @@
+"""Straight lines: by the unit's interpolation where that is nearer to the plan, by single axes elsewhere."""
+
+from collections.abc import Mapping
+from math import hypot
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
+
+from adapters.contract import CannotDo
+from adapters.shrc203.lowering import ShrcLowered
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+
+
+def slow_controller(**axis: Any) -> Controller:
+    """Pulses of 1 nm; axes that may start at up to 200 pls/s."""
+    config = controller("xyz")
+    axes = {
+        name: {
+            **each.model_dump(),
+            "limits": {"velocity": 0.1, "acceleration": 10.0},
+            "start_rate": {"min": 1e-6, "max": 2e-4},
+            **axis,
+        }
+        for name, each in config.axes.items()
+    }
+    return Controller.model_validate({**config.model_dump(), "axes": axes})
+
+
+CONFIG = slow_controller()
+
+
+def straight(distances: Mapping[str, int], duration_s: float, ramp_s: float) -> dict[str, Profile]:
+    """One trapezoid for all axes, each with its scale."""
+    rate = 1 / (ramp_s * (duration_s - ramp_s))
+    return {
+        name: Profile(
+            0, way, float(way), (ramp_s, duration_s - 2 * ramp_s, ramp_s), (rate, 0.0, -rate), (0.0, 0.0, 0.0)
+        )
+        for name, way in distances.items()
+    }
+
+
+def lowered(bench: Bench, profiles: Mapping[str, Profile], how: StartWay | None = None) -> ShrcLowered:
+    found = bench.driver.lower(profiles, how or StartWay(), None)
+    assert isinstance(found, ShrcLowered)
+    return found
+
+
+def distance_to_plan(bench: Bench, profiles: Mapping[str, Profile], start_ns: int, at_ns: int) -> float:
+    planned = {name: each.at((at_ns - start_ns) / 1e9).position for name, each in profiles.items()}
+    return max(abs(bench.unit.position(NAMES[name]) - way) for name, way in planned.items())
+
+
+@pytest.mark.parametrize("distances", [{"x": 600, "y": -7}, {"x": 500, "y": 9, "z": -300}])
+def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_claims(
+    distances: dict[str, int],
+) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        profiles = straight(distances, 6.3, 0.001)
+        made = lowered(bench, profiles)
+        assert made.straight is not None and made.load.startswith("KP:")
+        t0_ns = bench.clock.now_ns() + 400 * NS_PER_MS
+        await bench.driver.arm(made, t0_ns, None)
+        await bench.driver.verify()
+        assert not bench.moved()
+        await bench.driver.go()
+        started = await bench.driver.started()
+        start_ns = bench.unit.motions[0].start_ns
+        worst = 0.0
+        for _ in range(60):
+            await sleep_ns(bench.clock, 100 * NS_PER_MS)
+            worst = max(worst, distance_to_plan(bench, profiles, start_ns, bench.clock.now_ns()))
+        assert worst <= max(made.path_error_counts.values())
+        outcome = await bench.driver.outcome()
+        assert outcome.state == "done", outcome
+        for name, way in distances.items():
+            (motion,) = [each for each in bench.unit.motions if each.axis == NAMES[name]]
+            assert motion.end_counts == way and motion.end_ns is not None
+            assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
+            assert outcome.ended[name].earliest_ns <= motion.end_ns <= outcome.ended[name].latest_ns
+        await bench.start({"x": 0})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case, config=CONFIG)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
+    async def case(bench: Bench) -> None:
+        draw = Random(seed)
+        await bench.ready()
+        speed = 10 ** draw.uniform(0.5, 4.5)
+        duration_s = draw.uniform(1.0, 20.0)
+        distances = {name: round(draw.uniform(-1, 1) * speed * duration_s) or 1 for name in draw.sample("xyz", 2)}
+        profiles = straight(distances, duration_s, min(10 ** draw.uniform(-3, 0), duration_s / 3))
+        try:
+            made = lowered(bench, profiles)
+        except CannotDo:
+            return
+        try:
+            alone = {name: lowered(bench, {name: each}).path_error_counts[name] for name, each in profiles.items()}
+        except CannotDo:
+            assert made.straight is not None  # single axes can not be so slow
+        else:
+            assert max(made.path_error_counts.values()) <= max(alone.values())
+        if made.straight is not None:
+            assert made.straight.duration_s >= duration_s * (1 - 1e-6)
+            for way in distances.values():
+                assert made.straight.speed * abs(way) / hypot(*distances.values()) <= 200
+
+    run(case, config=CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("config", "profiles"),
+    [
+        (CONFIG, straight({"x": 60_000, "y": -700}, 6.3, 0.1)),  # too fast to be begun without a ramp
+        (CONFIG, {**straight({"x": 600}, 6.3, 0.001), **straight({"y": 7}, 6.3, 0.5)}),  # no straight line
+        (slow_controller(scale=1_000_000, unit="deg"), straight({"x": 600, "y": -7}, 6.3, 0.001)),  # pulses unknown
+        (CONFIG, straight({"x": 600}, 6.3, 0.001)),
+    ],
+)
+def test_what_is_no_slow_straight_line_in_equal_pulses_goes_by_single_axes(
+    config: Controller, profiles: dict[str, Profile]
+) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.driver.connect()
+        made = lowered(bench, profiles)
+        assert made.straight is None and made.load.startswith("MP:")
+
+    run(case, config=config)
+
+
+@pytest.mark.parametrize("end", ["disarm", "stop", "abort"])
+def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        made = lowered(bench, straight({"x": 600, "y": -7}, 6.3, 0.001))
+        assert made.straight is not None
+        await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+        await bench.driver.verify()
+        if end == "disarm":
+            await bench.driver.disarm()
+        else:
+            await bench.driver.stop(end == "abort")
+            await bench.driver.clear_faults()
+            await bench.driver.enable(["x", "y", "z"], True)
+            for _ in range(2):
+                await bench.driver.poll()
+        await bench.driver.raw("G")
+        await sleep_ns(bench.clock, NS_PER_S)
+        assert not bench.moved()
+
+    run(case, config=CONFIG)
+
+
+def test_a_garbled_line_is_refused() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        made = lowered(bench, straight({"x": 600, "y": -7}, 6.3, 0.001))
+        bench.wire.to_far = lambda data: data.replace(b"P600", b"P800")
+        with pytest.raises(CannotDo) as caught:
+            await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+        assert caught.value.refusal.code == "load-garbled"
+
+    run(case, config=CONFIG)
