@@ -11,9 +11,12 @@ from orchestrator.model.profile import Profile
 ROOM = 1e-6
 
 
-def check_profiles(condition: Condition, profiles: Mapping[str, Profile]) -> None:
-    """Raises `CannotDo` unless every profile starts where its axis stands, may move, and stays inside all limits."""
-    if not profiles:
+def check_profiles(condition: Condition, profiles: Mapping[str, Profile], drives: bool) -> None:
+    """Raises `CannotDo` unless every profile starts where its axis stands, may move, and stays inside all limits.
+
+    drives: the controller has a line to drive, and so a part in the step without an axis.
+    """
+    if not profiles and not drives:
         raise CannotDo("no-axes", "the step moves no axis of this controller")
     condition.require_known(profiles)
     condition.require_enabled(profiles)

@@ -96,6 +96,7 @@ class Member:
             start_class=lowered.start_class,
             tick_ns=lowered.tick_ns,
             terms=list(lowered.terms),
+            edge=list(lowered.edge),
             commands=list(lowered.commands),
         )
 

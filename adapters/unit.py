@@ -333,7 +333,7 @@ class Unit:
             doing = "homing" if condition.homing else "jogging"
             raise CannotDo(doing, f"{min(condition.homing | condition.jogging)} is {doing}", "wait for its end")
         condition.require_no_fault()
-        check_profiles(condition, request.profiles)
+        check_profiles(condition, request.profiles, request.start.drive is not None)
 
     def reconfigure(self, config: Controller) -> None:
         """The host replaces this unit by one with another configuration."""

@@ -73,13 +73,16 @@ def drive(config: Controller, asked: LineDrive, tick_ns: float) -> Drive:
 
 
 def wait_terms(asked: LineWait, waits: Wait, options: Options, tick_ns: float) -> tuple[Term, ...]:
-    """The start about T0, from the edge on: the optocoupler, the sample that finds it, the begin behind AI."""
+    """The start about T0, from the edge on: the optocoupler, the sample that finds it, the begin behind AI.
+
+    Whether AI looks at samples only is not said: it may let go at once.
+    """
     opto_us = options.input_rise_us if waits.number > 0 else options.input_fall_us
     first, last = options.begin_ticks(tick_ns)
     return (
         Term(name="line", earliest_ns=asked.earliest_ns, latest_ns=asked.latest_ns),
         Term(name="input", earliest_ns=0, latest_ns=opto_us * NS_PER_US + math.ceil(tick_ns)),
-        Term(name="tick", earliest_ns=math.floor((first - 1) * tick_ns), latest_ns=math.ceil((last + 1) * tick_ns)),
+        Term(name="tick", earliest_ns=math.floor((first - 1) * tick_ns), latest_ns=math.ceil(last * tick_ns)),
     )
 
 

@@ -239,7 +239,7 @@ class Start:
             await sleep_ns(self._clock, min(WATCH_NS, left_ns) if left_ns > 0 else SETTLE_NS)
         reasons = {move.axis: self._reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
-        if states == {"done"}:
+        if states <= {"done"}:
             late = await self._refine(loaded, ended)
             return Outcome("fault", ended, late) if late else Outcome("done", ended)
         text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")

@@ -1,24 +1,44 @@
 """The sync budget before a step and the verdict after it."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Literal
 
-from orchestrator.model.messages import Armed, Proposal
+from orchestrator.model.messages import Term
 from orchestrator.model.report import Budget, MemberBudget, Skew
 from orchestrator.model.state import Interval
 
 
-def make_budget(said: Mapping[str, Proposal] | Mapping[str, Armed], allowed_ns: int) -> Budget:
-    """The guaranteed spread of starts about T0, and the member and term that make it worst; by what members say."""
-    members: dict[str, MemberBudget] = {}
-    for name, each in said.items():
-        members[name] = MemberBudget(
-            terms=each.terms,
-            earliest_ns=sum(term.earliest_ns for term in each.terms),
-            latest_ns=sum(term.latest_ns for term in each.terms),
-        )
-    # The axes of one controller that start together differ by no more than its own window.
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Where a member starts about T0, term by term. edge: the part of it that all who wait for one line have in common,
+    from when to when about T0 the line's edge is; None for a member that does not."""
+
+    terms: list[Term]
+    edge: tuple[int, int] | None = None
+
+    @property
+    def earliest_ns(self) -> int:
+        return sum(term.earliest_ns for term in self.terms)
+
+    @property
+    def latest_ns(self) -> int:
+        return sum(term.latest_ns for term in self.terms)
+
+
+def make_budget(windows: Mapping[str, Window], allowed_ns: int) -> Budget:
+    """The guaranteed spread of starts about T0, and the member and term that make it worst."""
+    members = {
+        name: MemberBudget(terms=each.terms, earliest_ns=each.earliest_ns, latest_ns=each.latest_ns)
+        for name, each in windows.items()
+    }
+    # The axes of one controller that start together differ by no more than its own window; and it does not matter
+    # when the edge of a line comes that all of them wait for.
+    edges = {each.edge for each in windows.values()}
+    common = next(iter(edges)) if len(edges) == 1 else None
     predicted_ns = max(m.latest_ns for m in members.values()) - min(m.earliest_ns for m in members.values())
+    if common is not None:
+        predicted_ns -= common[1] - common[0]
     worst = max(members, key=lambda name: members[name].latest_ns - members[name].earliest_ns)
     term = max(members[worst].terms, key=lambda each: each.latest_ns - each.earliest_ns, default=None)
     return Budget(
@@ -26,17 +46,23 @@ def make_budget(said: Mapping[str, Proposal] | Mapping[str, Armed], allowed_ns: 
         allowed_ns=allowed_ns,
         worst_member=worst,
         worst_term=term.name if term else "none",
+        by_line=common is not None,
         members=members,
     )
 
 
-def skew(instants: Iterable[Interval]) -> Skew | None:
-    """The spread of instants that are known as intervals; None for fewer than one."""
+def skew(instants: Iterable[Interval], budget: Budget | None = None) -> Skew | None:
+    """The spread of instants that are known as intervals; None for fewer than one.
+
+    budget: of starts by one line, whose instant need not be known: they are together as well as was predicted.
+    """
     spans = list(instants)
     if not spans:
         return None
     at_most_ns = max(span.latest_ns for span in spans) - min(span.earliest_ns for span in spans)
     at_least_ns = max(0, max(span.earliest_ns for span in spans) - min(span.latest_ns for span in spans))
+    if budget is not None and budget.by_line:
+        at_most_ns = max(at_least_ns, min(at_most_ns, budget.predicted_ns))
     # One axis alone has no skew, however badly its start is known.
     return Skew(at_least_ns=at_least_ns, at_most_ns=at_most_ns if len(spans) > 1 else 0)
 

@@ -2,21 +2,21 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
-from orchestrator.coordinator.budget import judge, make_budget, skew
+from orchestrator.coordinator.budget import judge, skew
 from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
-from orchestrator.coordinator.permits import Guard, Permits
+from orchestrator.coordinator.moving import Moving
+from orchestrator.coordinator.permits import Permits
+from orchestrator.coordinator.proposing import ANSWER_S, MARGIN_NS, Proposing, start_way
 from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
-from orchestrator.coordinator.targets import Refuse, Resolved, refuse, resolve
+from orchestrator.coordinator.targets import Refuse, refuse, resolve
 from orchestrator.coordinator.view import FleetView
-from orchestrator.model.duration import format_ns
 from orchestrator.model.job import Job, Move
 from orchestrator.model.messages import (
     Arm,
@@ -24,57 +24,21 @@ from orchestrator.model.messages import (
     Commit,
     Disarm,
     Go,
-    Proposal,
-    Propose,
     Reply,
-    StartWay,
     StepRef,
     Stop,
 )
-from orchestrator.model.profile import Profile
-from orchestrator.model.report import Budget, JobState, MemberReport, StepReport
+from orchestrator.model.report import JobState, MemberReport, StepReport
 from orchestrator.model.state import AxisState, Event, Info
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import Plan, Targets, plan_step
+from orchestrator.plan.step import Targets, plan_step
 
-ROUNDS = 3
-ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
-# Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
-MARGIN_NS = 150 * NS_PER_MS
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
-READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 T = TypeVar("T")
-
-
-@dataclass(slots=True)
-class _Step:
-    """A step under way. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long."""
-
-    job_id: str
-    index: int
-    actor: str
-    resolved: Resolved
-    plan: Plan
-    proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
-    lead_ns: int = 0
-    armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
-    budget: Budget | None = None
-    t0_fleet_ns: int = 0
-    events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
-    guard: Guard | None = None
-
-    def lost_permit(self) -> str | None:
-        """What permit of the step has been lost since it was armed, in words."""
-        return None if self.guard is None else self.guard.lost()
-
-    def profiles(self, member: str) -> dict[str, Profile]:
-        """The member's share of the plan, by its own axis names."""
-        prefix = member + "."
-        return {axis.removeprefix(prefix): p for axis, p in self.plan.profiles.items() if axis.startswith(prefix)}
 
 
 class Motion:
@@ -93,6 +57,7 @@ class Motion:
     ) -> None:
         self._view = view
         self._members = members
+        self._proposing = Proposing(view, members)
         self._permits = permits
         self._throne = throne
         self._clock = clock
@@ -115,7 +80,7 @@ class Motion:
         moving = await self._plan(job_id, job, index, step)
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
-        await self._propose(moving, job, step)
+        await self._proposing.agree(moving, job, step)
         # Events and permits count from before the arming on: a stop, or an open door, may come at any moment.
         moving.guard = self._permits.guard(moving.plan.profiles)
         unlisten = self._view.listen(moving.events.put_nowait)
@@ -140,16 +105,16 @@ class Motion:
         """Durations, budget and what each controller would be sent. Raises `Refuse`."""
         moving = await self._plan("dry-run", job, index, step)
         if moving.plan.profiles:
-            await self._propose(moving, job, step)
+            await self._proposing.agree(moving, job, step)
         return {
             "duration_s": moving.plan.duration_s,
             "budget": moving.budget.to_plain() if moving.budget else None,
             "commands": {member: proposal.commands for member, proposal in moving.proposals.items()},
         }
 
-    # Plan and propose
+    # Plan
 
-    async def _plan(self, job_id: str, job: Job, index: int, step: Move) -> _Step:
+    async def _plan(self, job_id: str, job: Job, index: int, step: Move) -> Moving:
         names = list(step.to | step.by)
         members = list(dict.fromkeys(name.partition(".")[0] for name in names))
         states: dict[str, AxisState] = {}
@@ -177,86 +142,13 @@ class Motion:
             plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
         except PlanError as error:
             raise Refuse("plan", str(error)) from None
-        return _Step(job_id, index, job.actor, resolved, plan)
-
-    async def _propose(self, moving: _Step, job: Job, step: Move) -> None:
-        """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
-        allowed_ns = step.max_end_skew or job.max_end_skew
-        durations: dict[str, float] = {}
-        for _ in range(ROUNDS):
-            await self._propose_once(moving, step)
-            durations = {
-                f"{member}.{axis}": took_s
-                for member, proposal in moving.proposals.items()
-                for axis, took_s in proposal.durations_s.items()
-            }
-            longest_s, lead_ns = max(durations.values()), self._lead_ns(moving)
-            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9)
-            if in_time and lead_ns <= moving.lead_ns:
-                break
-            moving.lead_ns = max(lead_ns, moving.lead_ns)
-            if not in_time:
-                moving.plan = moving.plan.stretched(longest_s)
-        if step.sync != "none":
-            worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
-            off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
-            if off_ns > allowed_ns:
-                raise Refuse(
-                    "end-skew",
-                    f"axis {worst} would end {format_ns(off_ns)} off the plan; allowed are {format_ns(allowed_ns)}",
-                    "move further or faster, or allow more with `max_end_skew`",
-                    worst.partition(".")[0],
-                )
-        self._judge(moving, moving.proposals, job, step)
-
-    def _judge(
-        self, moving: _Step, members: Mapping[str, Proposal] | Mapping[str, Armed], job: Job, step: Move
-    ) -> None:
-        """The budget by what the members say now. Raises `Refuse` if it is not within what the job allows."""
-        moving.budget = budget = make_budget(members, step.max_start_skew or job.max_start_skew)
-        if budget.predicted_ns > budget.allowed_ns and len(moving.plan.profiles) > 1:
-            raise Refuse(
-                "start-skew",
-                f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
-                f"{budget.worst_member}, by its {budget.worst_term}",
-                "allow more with `max_start_skew`, or improve that member's link",
-                budget.worst_member,
-            )
-
-    async def _propose_once(self, moving: _Step, step: Move) -> None:
-        members = list(dict.fromkeys(axis.partition(".")[0] for axis in moving.plan.profiles))
-        requests = {
-            member: Propose(
-                **self._ref(moving),
-                digest=self._view.fleet.controllers[member].digest,
-                duration_s=moving.plan.duration_s,
-                profiles=moving.profiles(member),
-                start=self._start_way(moving, step),
-            )
-            for member in members
-        }
-        moving.proposals = await self._ask_all("propose", requests, Proposal)
-        self._refuse_if_any(moving.proposals)
-
-    def _lead_ns(self, moving: _Step) -> int:
-        """How far ahead of the arming T0 must be, by what the members say. Those on one line are armed in turns."""
-        arming_ns: dict[str, int] = {}
-        disarm_ns = 0
-        for member, proposal in moving.proposals.items():
-            if proposal.costs is not None:
-                place = self._view.fleet.controllers[member].link.place
-                arming_ns[place] = arming_ns.get(place, 0) + proposal.costs.arm_ns
-                disarm_ns = max(disarm_ns, proposal.costs.disarm_ns)
-        return max(arming_ns.values()) + MARGIN_NS + disarm_ns
-
-    def _start_way(self, moving: _Step, step: Move) -> StartWay:
-        return StartWay(by=step.start, lead_ns=moving.lead_ns + READING_NS)
+        return Moving(job_id, index, job.actor, resolved, plan)
 
     # Arm, commit, go
 
     async def _arm_and_release(
         self,
-        moving: _Step,
+        moving: Moving,
         job: Job,
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
@@ -265,9 +157,7 @@ class Motion:
         for growth in LEAD_GROWTH:
             await on_state("arming", "")
             if growth > 1:
-                # Clocks have to hold for longer now.
-                moving.lead_ns = growth * self._lead_ns(moving)
-                await self._propose_once(moving, step)
+                await self._proposing.again(moving, step, growth)
             moving.t0_fleet_ns = self._throne.fleet_now_ns() + moving.lead_ns
             await self._arm(moving, step)
             await self._judge_frozen(moving, job, step)
@@ -299,14 +189,14 @@ class Motion:
         await on_state("committed", "")
         await self._go(moving)
 
-    async def _arm(self, moving: _Step, step: Move) -> None:
+    async def _arm(self, moving: Moving, step: Move) -> None:
         requests = {
             member: Arm(
                 **self._ref(moving),
                 digest=self._view.fleet.controllers[member].digest,
-                t0_fleet_ns=moving.t0_fleet_ns,
+                t0_fleet_ns=moving.t0_ns(member),
                 profiles=moving.profiles(member),
-                start=self._start_way(moving, step),
+                start=start_way(moving, step, member),
             )
             for member in moving.proposals
         }
@@ -317,49 +207,52 @@ class Motion:
         moving.armed = await self._ask_all("arm", requests, Armed, max(timeout_s.values()))
         await self._disarm_if_refused(moving, moving.armed)
 
-    async def _judge_frozen(self, moving: _Step, job: Job, step: Move) -> None:
+    async def _judge_frozen(self, moving: Moving, job: Job, step: Move) -> None:
         """Once more, with the clock mappings that are frozen into what is armed."""
         try:
-            self._judge(moving, moving.armed, job, step)
+            self._proposing.judge(moving, moving.armed, job, step)
         except Refuse:
             await self._disarm(moving)
             raise
 
-    async def _commit(self, moving: _Step) -> None:
-        requests = {member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_fleet_ns) for member in moving.proposals}
+    async def _commit(self, moving: Moving) -> None:
+        requests = {
+            member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals
+        }
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         promises = await self._ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
         await self._disarm_if_refused(moving, promises)
 
-    async def _go(self, moving: _Step) -> None:
+    async def _go(self, moving: Moving) -> None:
         """After the decision: a member that can not go makes all others stop before, or just after, they begin."""
-        requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_fleet_ns) for member in moving.proposals}
+        requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals}
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, left_s)))
         await self._disarm_if_refused(moving, released)
 
-    async def _disarm_if_refused(self, moving: _Step, replies: Mapping[str, Reply]) -> None:
+    async def _disarm_if_refused(self, moving: Moving, replies: Mapping[str, Reply]) -> None:
         refused = next((reply.refused for reply in replies.values() if reply.refused is not None), None)
         if refused is None:
             return
         await self._disarm(moving)
         raise refuse(refused)
 
-    async def _disarm(self, moving: _Step) -> None:
+    async def _disarm(self, moving: Moving) -> None:
         """Unload all; a member that says it moves already, or says nothing, is stopped as well."""
         requests = {member: Disarm(**self._ref(moving)) for member in moving.proposals}
         replies = await self._ask_all("disarm", requests, Reply)
-        doubtful = [member for member, reply in replies.items() if reply.refused is not None]
+        movers = moving.movers
+        doubtful = [member for member, reply in replies.items() if reply.refused is not None and member in movers]
         if doubtful:
             await self.stop(doubtful, "decelerate", moving.actor, "disarm did not succeed")
 
     # Watch and report
 
-    async def _watch(self, moving: _Step, step: Move) -> StepReport:
+    async def _watch(self, moving: Moving, step: Move) -> StepReport:
         """Wait for every member's start and end; stop all as soon as one fails."""
         waiting_start = set(moving.proposals)
         waiting_end = set(moving.proposals)
-        longest_s = max(max(proposal.durations_s.values()) for proposal in moving.proposals.values())
+        longest_s = max(max(proposal.durations_s.values(), default=0.0) for proposal in moving.proposals.values())
         settling = [self._view.fleet.axis(axis) for axis in moving.plan.profiles]
         settle_s = max((axis.in_position_timeout_s for axis in settling if axis.done == "in_position"), default=0.0)
         ends_ns = moving.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
@@ -378,11 +271,14 @@ class Motion:
                     failure = (event.kind, f"{member}: {event.text}")
             failure = failure or self._overdue(moving, waiting_start, waiting_end, ends_ns)
         if failure is not None:
-            await self.stop(list(moving.proposals), "decelerate", moving.actor, failure[1])
+            await self.stop(moving.movers, "decelerate", moving.actor, failure[1])
+            if moving.line is not None and moving.line.driver not in moving.movers:
+                # It may be moving for another job.
+                await self._ask_all("disarm", {moving.line.driver: Disarm(**self._ref(moving))}, Reply)
         return self._report(moving, step, reports, failure)
 
     def _overdue(
-        self, moving: _Step, waiting_start: set[str], waiting_end: set[str], ends_ns: int
+        self, moving: Moving, waiting_start: set[str], waiting_end: set[str], ends_ns: int
     ) -> tuple[str, str] | None:
         """What has not happened although it should have by now."""
         now_ns = self._throne.fleet_now_ns()
@@ -398,7 +294,7 @@ class Motion:
             return "failed", f"{min(waiting_end)}: has not come to its end"
         return None
 
-    async def _next_event(self, moving: _Step) -> Event | None:
+    async def _next_event(self, moving: Moving) -> Event | None:
         """The next event about this step; None after a while, or when a permit was lost."""
         try:
             async with asyncio.timeout(0.05):
@@ -410,7 +306,7 @@ class Motion:
         about = (event.job, event.step) == (moving.job_id, moving.index)
         return event if about and event.controller in moving.proposals else None
 
-    def _member_report(self, moving: _Step, member: str) -> MemberReport:
+    def _member_report(self, moving: Moving, member: str) -> MemberReport:
         proposal, armed = moving.proposals[member], moving.armed[member]
         profiles = moving.profiles(member)
         return MemberReport(
@@ -424,13 +320,13 @@ class Motion:
         )
 
     def _report(
-        self, moving: _Step, step: Move, reports: dict[str, MemberReport], failure: tuple[str, str] | None
+        self, moving: Moving, step: Move, reports: dict[str, MemberReport], failure: tuple[str, str] | None
     ) -> StepReport:
         evidence = [each for report in reports.values() for each in report.evidence.values()]
         starts = [each.start for each in evidence]
         ends = [each.end for each in evidence if each.end is not None]
         complete = len(starts) == len(moving.plan.profiles)
-        start_skew = skew(starts) if complete else None
+        start_skew = skew(starts, moving.budget) if complete else None
         end_skew = skew(ends) if len(ends) == len(moving.plan.profiles) else None
         actual_s = None
         if failure is None and ends:
@@ -471,7 +367,7 @@ class Motion:
 
     # Inside
 
-    def _ref(self, moving: _Step) -> dict[str, Any]:
+    def _ref(self, moving: Moving) -> dict[str, Any]:
         return {**self._members.fields(moving.actor), "job": moving.job_id, "step": moving.index}
 
     async def _ask_all(
@@ -480,8 +376,3 @@ class Motion:
         ask: Any = self._members.ask
         asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
         return dict(zip(requests, await asyncio.gather(*asked), strict=True))
-
-    def _refuse_if_any(self, replies: Mapping[str, Reply]) -> None:
-        for reply in replies.values():
-            if reply.refused is not None:
-                raise refuse(reply.refused)

@@ -74,6 +74,7 @@ class Budget(Model):
     allowed_ns: Int53
     worst_member: str
     worst_term: str
+    by_line: bool = Field(default=False, description="All start by one line: when its edge comes does not matter.")
     members: dict[str, MemberBudget]
 
 

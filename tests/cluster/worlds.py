@@ -37,11 +37,16 @@ MOVE = job(
 )  # some ten seconds: nobody is there by chance
 
 
-def run_fleet(main: Callable[[VirtualFleet], Coroutine[Any, Any, T]], fleet: Fleet | None = None, seed: int = 1) -> T:
-    """Run `main` with a started virtual fleet."""
+def run_fleet(
+    main: Callable[[VirtualFleet], Coroutine[Any, Any, T]],
+    fleet: Fleet | None = None,
+    seed: int = 1,
+    wired: Fleet | None = None,
+) -> T:
+    """Run `main` with a started virtual fleet. wired: how it is really wired, if not as its file says."""
 
     async def run(clock: VirtualClock) -> T:
-        virtual = VirtualFleet(fleet or demo_fleet(), clock, seed)
+        virtual = VirtualFleet(fleet or demo_fleet(), clock, seed, wired=wired)
         await virtual.start()
         return await main(virtual)
 

@@ -189,7 +189,7 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
             await world.driver.go()
             assert not changes
             assert (await world.driver.started()).keys() == profiles.keys()
-            await world.driver.outcome()
+            assert (await world.driver.outcome()).state == "done"
             await world.until(t0_ns + 4 * hold_ns)
             assert [level for _, level in changes] == [True, False]
             (edge_ns, _), (released_ns, _) = changes

@@ -1,0 +1,89 @@
+"""A motion step under way: what everybody who runs it knows of it."""
+
+import asyncio
+from dataclasses import dataclass, field
+
+from orchestrator.coordinator.permits import Guard
+from orchestrator.coordinator.targets import Resolved
+from orchestrator.model.fleet import Wire
+from orchestrator.model.messages import Armed, LineDrive, LineWait, Proposal, StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.model.report import Budget
+from orchestrator.model.state import Event
+from orchestrator.plan.step import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class LineStart:
+    """A wired line that starts members of a step.
+
+    wire: from the output of `driver`, made active at T0. waiters: by member, the input that it waits for. edge: where
+    the output's edge lies about T0, ns, once the driver has said. shift_ns: how much later than T0 the others start,
+    so that they meet the waiters, whose lines, inputs and firmware take their time.
+    """
+
+    wire: Wire
+    waiters: dict[str, str]
+    edge: tuple[int, int] = (0, 0)
+    shift_ns: int = 0
+
+    @property
+    def driver(self) -> str:
+        return self.wire.from_.partition(".")[0]
+
+    def way(self, member: str, lead_ns: int) -> StartWay:
+        """How the line's driver or a waiter is to start."""
+        if member == self.driver:
+            return StartWay(lead_ns=lead_ns, drive=LineDrive(output=self.wire.from_.partition(".")[2]))
+        least_ns, most_ns = (each * 1000 for each in self.wire.delay_us)
+        wait = LineWait(
+            input=self.waiters[member], earliest_ns=self.edge[0] + least_ns, latest_ns=self.edge[1] + most_ns
+        )
+        return StartWay(lead_ns=lead_ns, wait=wait)
+
+
+@dataclass(slots=True)
+class Moving:
+    """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long."""
+
+    job_id: str
+    index: int
+    actor: str
+    resolved: Resolved
+    plan: Plan
+    line: LineStart | None = None
+    proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
+    lead_ns: int = 0
+    armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
+    budget: Budget | None = None
+    t0_fleet_ns: int = 0
+    events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
+    guard: Guard | None = None
+
+    @property
+    def movers(self) -> list[str]:
+        """The members that have axes in the step."""
+        return list(dict.fromkeys(axis.partition(".")[0] for axis in self.plan.profiles))
+
+    @property
+    def members(self) -> list[str]:
+        """The movers, and the controller that drives their line."""
+        return self.movers if self.line is None else list(dict.fromkeys([self.line.driver, *self.movers]))
+
+    def lost_permit(self) -> str | None:
+        """What permit of the step has been lost since it was armed, in words."""
+        return None if self.guard is None else self.guard.lost()
+
+    def profiles(self, member: str) -> dict[str, Profile]:
+        """The member's share of the plan, by its own axis names."""
+        prefix = member + "."
+        return {axis.removeprefix(prefix): p for axis, p in self.plan.profiles.items() if axis.startswith(prefix)}
+
+    def shift_ns(self, member: str) -> int:
+        """How much later than T0 the member's own T0 is."""
+        line = self.line
+        return 0 if line is None or member == line.driver or member in line.waiters else line.shift_ns
+
+    def t0_ns(self, member: str) -> int:
+        """The member's own T0, fleet time."""
+        return self.t0_fleet_ns + self.shift_ns(member)

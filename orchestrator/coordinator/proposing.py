@@ -1,0 +1,207 @@
+"""What members can make of a plan, and how they start together: asked, agreed, and budgeted (design, section 6.2)."""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from orchestrator.bus.base import BusError
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.coordinator.budget import Window, make_budget
+from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.moving import LineStart, Moving
+from orchestrator.coordinator.targets import Refuse, refuse
+from orchestrator.coordinator.view import FleetView
+from orchestrator.model.duration import format_ns
+from orchestrator.model.job import Job, Move
+from orchestrator.model.messages import Armed, Proposal, Propose, Reply, StartWay, Term
+
+ROUNDS = 3
+ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
+# Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
+MARGIN_NS = 150 * NS_PER_MS
+READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
+
+
+class Proposing:
+    """Asks the members of a step."""
+
+    def __init__(self, view: FleetView, members: Members) -> None:
+        self._view = view
+        self._members = members
+
+    async def agree(self, moving: Moving, job: Job, step: Move) -> None:
+        """Settle plan, lead, budget, and the line that starts the step, if one does. Raises `Refuse`.
+
+        A line is taken where it makes the predicted start skew smaller, or where the step asks for one.
+        """
+        lines = [line for wire in self._view.fleet.wiring if (line := await self._line(wire.from_, moving)) is not None]
+        if step.start == "line" and not lines:
+            raise Refuse(
+                "start-class",
+                f"no line is wired to an input that {' or '.join(moving.movers)} can wait for",
+                "say `wiring` in the fleet file, or leave `start` to the fleet",
+            )
+        tries = [replace(moving, line=line) for line in ([] if step.start == "line" else [None]) + lines]
+        refused: Refuse | None = None
+        agreed: Moving | None = None
+        for each in tries if len(moving.plan.profiles) > 1 or step.start == "line" else tries[:1]:
+            try:
+                await self._rounds(each, job, step)
+            except Refuse as refusal:
+                refused = refused or refusal
+                continue
+            if agreed is None or _predicted_ns(each) < _predicted_ns(agreed):
+                agreed = each
+        if agreed is None:
+            assert refused is not None
+            raise refused
+        moving.plan, moving.line, moving.proposals = agreed.plan, agreed.line, agreed.proposals
+        moving.lead_ns, moving.budget = agreed.lead_ns, agreed.budget
+
+    async def again(self, moving: Moving, step: Move, growth: int) -> None:
+        """Once more for a longer lead: clocks have to hold for longer."""
+        moving.lead_ns = growth * self._lead_ns(moving)
+        await self._ask(moving, step)
+
+    def judge(self, moving: Moving, said: Mapping[str, Proposal] | Mapping[str, Armed], job: Job, step: Move) -> None:
+        """The budget by what the members say now. Raises `Refuse` if it is not within what the job allows."""
+        movers = set(moving.movers)
+        windows = {name: _window(moving, name, each.terms) for name, each in said.items() if name in movers}
+        moving.budget = budget = make_budget(windows, step.max_start_skew or job.max_start_skew)
+        if budget.predicted_ns > budget.allowed_ns and len(moving.plan.profiles) > 1:
+            raise Refuse(
+                "start-skew",
+                f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
+                f"{budget.worst_member}, by its {budget.worst_term}",
+                "allow more with `max_start_skew`, or improve that member's link",
+                budget.worst_member,
+            )
+
+    # Inside
+
+    async def _line(self, output: str, moving: Moving) -> LineStart | None:
+        """The line from `output`, if it leads to members that can wait for it and its driver is there."""
+        wire = next(each for each in self._view.fleet.wiring if each.from_ == output)
+        # Who drives a line can not wait for it, too.
+        movers = set(moving.movers) - {output.partition(".")[0]}
+        try:
+            waiters = {
+                member: name
+                for member, _, name in (end.partition(".") for end in wire.to)
+                if member in movers and "line" in (await self._view.info(member)).start_classes
+            }
+            line = LineStart(wire, waiters)
+            there = waiters and (await self._view.fresh(line.driver)).mode != "offline"
+        except BusError:
+            return None
+        return line if there else None
+
+    async def _rounds(self, moving: Moving, job: Job, step: Move) -> None:
+        """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
+        allowed_ns = step.max_end_skew or job.max_end_skew
+        durations: dict[str, float] = {}
+        for _ in range(ROUNDS):
+            await self._ask(moving, step)
+            durations = {
+                f"{member}.{axis}": took_s
+                for member, proposal in moving.proposals.items()
+                for axis, took_s in proposal.durations_s.items()
+            }
+            longest_s, lead_ns = max(durations.values()), self._lead_ns(moving)
+            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9)
+            if in_time and lead_ns <= moving.lead_ns:
+                break
+            moving.lead_ns = max(lead_ns, moving.lead_ns)
+            if not in_time:
+                moving.plan = moving.plan.stretched(longest_s)
+        if step.sync != "none":
+            worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
+            off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
+            if off_ns > allowed_ns:
+                raise Refuse(
+                    "end-skew",
+                    f"axis {worst} would end {format_ns(off_ns)} off the plan; allowed are {format_ns(allowed_ns)}",
+                    "move further or faster, or allow more with `max_end_skew`",
+                    worst.partition(".")[0],
+                )
+        self.judge(moving, moving.proposals, job, step)
+
+    def _lead_ns(self, moving: Moving) -> int:
+        """How far ahead of the arming T0 must be, by what the members say. Those on one line are armed in turns."""
+        arming_ns: dict[str, int] = {}
+        disarm_ns = 0
+        for member, proposal in moving.proposals.items():
+            if proposal.costs is not None:
+                place = self._view.fleet.controllers[member].link.place
+                arming_ns[place] = arming_ns.get(place, 0) + proposal.costs.arm_ns
+                disarm_ns = max(disarm_ns, proposal.costs.disarm_ns)
+        return max(arming_ns.values()) + MARGIN_NS + disarm_ns
+
+    async def _ask(self, moving: Moving, step: Move) -> None:
+        """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""
+        line = moving.line
+        proposals: dict[str, Proposal] = {}
+        if line is not None:
+            proposals = await self._ask_some(moving, step, [line.driver])
+            edge = proposals[line.driver].edge
+            if not edge:
+                raise Refuse("start-class", f"{line.driver} can not drive a line", "wire it from another controller")
+            line = moving.line = replace(line, edge=_sums(edge))
+        proposals |= await self._ask_some(moving, step, [each for each in moving.members if each not in proposals])
+        moving.proposals = {member: proposals[member] for member in moving.members}
+        if line is not None:
+            middles = [sum(_sums(proposals[member].terms)) // 2 for member in line.waiters]
+            moving.line = replace(line, shift_ns=sum(middles) // len(middles))
+
+    async def _ask_some(self, moving: Moving, step: Move, members: Iterable[str]) -> dict[str, Proposal]:
+        requests = {
+            member: Propose(
+                **self._members.fields(moving.actor),
+                job=moving.job_id,
+                step=moving.index,
+                digest=self._view.fleet.controllers[member].digest,
+                duration_s=moving.plan.duration_s,
+                profiles=moving.profiles(member),
+                start=start_way(moving, step, member),
+            )
+            for member in members
+        }
+        asked = [self._members.ask(member, "propose", each, Proposal, ANSWER_S) for member, each in requests.items()]
+        proposals = dict(zip(requests, await asyncio.gather(*asked), strict=True))
+        refuse_if_any(proposals)
+        return proposals
+
+
+def start_way(moving: Moving, step: Move, member: str) -> StartWay:
+    """How `member` is to start in the step."""
+    lead_ns = moving.lead_ns + READING_NS
+    line = moving.line
+    if line is not None and (member == line.driver or member in line.waiters):
+        return line.way(member, lead_ns)
+    return StartWay(by="auto" if step.start == "line" else step.start, lead_ns=lead_ns)
+
+
+def refuse_if_any(replies: Mapping[str, Reply]) -> None:
+    """Raises `Refuse` with the first refusal among `replies`."""
+    for reply in replies.values():
+        if reply.refused is not None:
+            raise refuse(reply.refused)
+
+
+def _predicted_ns(moving: Moving) -> int:
+    assert moving.budget is not None
+    return moving.budget.predicted_ns
+
+
+def _sums(terms: Iterable[Term]) -> tuple[int, int]:
+    """From the earliest to the latest instant that the terms leave, about T0."""
+    each = list(terms)
+    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
+
+
+def _window(moving: Moving, member: str, terms: list[Term]) -> Window:
+    shift_ns = moving.shift_ns(member)
+    if shift_ns:
+        terms = [Term(name="line", earliest_ns=shift_ns, latest_ns=shift_ns), *terms]
+    line = moving.line
+    return Window(terms, None if line is None or member not in line.waiters else line.edge)

@@ -1,0 +1,162 @@
+"""Steps that a wired line starts: an SMC-4000 drives it, an SHRC-203 and another SMC-4000 wait for it."""
+
+from typing import Any
+
+import pytest
+from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport, StepReport
+
+PREPARE = job("[{do: enable, axes: [gantry, stage, portal]}, {do: home}]")
+WAITERS = job("[{do: move, to: {stage.u: 5, stage.v: 3, portal.x: 60}, start: line}]")
+
+
+def wired_fleet(delay_us: tuple[int, int] = (5, 40), **line: Any) -> Fleet:
+    """The demo fleet with a second gantry, and a wire from the first one's output 2 to the others' inputs 2."""
+    plain = demo_fleet().to_plain()
+    gantry = plain["controllers"]["gantry"]
+    portal = gantry | {
+        "link": gantry["link"] | {"host": "192.168.1.21"},
+        "inputs": {"start": {"number": 2, "active": "low"}},
+        "outputs": {},
+        "simulate": gantry["simulate"] | {"offset_s": 17.3, "drift_ppm": -61.0},
+    }
+    gantry["outputs"] = gantry["outputs"] | {"start": {"number": 2}}
+    stage = plain["controllers"]["stage"] | {"inputs": {"start": {"number": 2, "active": "high"}}}
+    wire = {"from": "gantry.start", "to": ["stage.start", "portal.start"], "delay_us": list(delay_us)} | line
+    return Fleet.model_validate(
+        plain
+        | {
+            "controllers": {"gantry": gantry, "stage": stage, "portal": portal},
+            "groups": {},
+            "home_order": ["stage", "gantry", "portal"],
+            "wiring": [wire],
+        }
+    )
+
+
+def judged_rightly(fleet: VirtualFleet, report: JobReport, before: dict[str, int]) -> tuple[StepReport, int]:
+    """The step, and its true start skew, which its verdict holds."""
+    assert report.state == "done", report.reason
+    step = report.steps[0]
+    made = [m for name, each in fleet.controllers.items() for m in each.motions[before[name] :]]
+    assert len(made) == sum(len(member.axes) for member in step.members.values())
+    starts = [motion.start_ns for motion in made]
+    skew_ns = max(starts) - min(starts)
+    assert step.start_skew is not None and step.budget is not None
+    assert step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+    assert skew_ns <= step.budget.predicted_ns
+    return step, skew_ns
+
+
+def count(fleet: VirtualFleet) -> dict[str, int]:
+    return {name: len(each.motions) for name, each in fleet.controllers.items()}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_members_that_all_wait_for_the_line_start_together_by_it(seed: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = count(fleet)
+        step, _ = judged_rightly(fleet, await outcome(fleet, WAITERS), before)
+        ways = {name: member.start_class for name, member in step.members.items()}
+        assert ways == {"gantry": "clock", "stage": "line", "portal": "line"}
+        assert step.budget is not None and step.budget.by_line
+        # The line is passive again, so that the next step can be started by it.
+        before = count(fleet)
+        step, _ = judged_rightly(
+            fleet, await outcome(fleet, job("[{do: move, by: {stage.u: -2, portal.x: -10}, start: line}]")), before
+        )
+        assert step.members["stage"].start_class == "line"
+
+    run_fleet(main, wired_fleet(), seed)
+
+
+def test_who_drives_the_line_moves_with_those_who_wait_for_it() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = count(fleet)
+        asked = job("[{do: move, to: {stage.u: 5, portal.x: 60, gantry.x: 80}, start: line}]")
+        step, _ = judged_rightly(fleet, await outcome(fleet, asked), before)
+        assert {name: member.start_class for name, member in step.members.items()} == {
+            "gantry": "clock",
+            "stage": "line",
+            "portal": "line",
+        }
+
+    run_fleet(main, wired_fleet())
+
+
+def test_the_better_way_is_taken_without_being_asked() -> None:
+    """A slow wire would spread the starts more than the members' own means."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        report = await outcome(fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}}]"))
+        assert report.state == "done", report.reason
+        assert report.steps[0].members["portal"].start_class == "clock"
+        assert "gantry" not in report.steps[0].members
+
+    run_fleet(main, wired_fleet((0, 50_000)))
+
+
+def test_a_missing_wire_fails_the_step_and_a_stuck_one_refuses_it() -> None:
+    async def main(clock_fleet: VirtualFleet) -> None:
+        client = clock_fleet.client()
+        await outcome(clock_fleet, PREPARE)
+        stuck = clock_fleet.fleet.controllers["portal"].inputs["start"]
+        clock_fleet.within("portal", lambda unit: unit.set_input(stuck.number, stuck.active == "high"))
+        await sleep_ns(clock_fleet.clock, 500 * NS_PER_MS)
+        refused = await refusal(clock_fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
+        assert refused.code == "line-level" and refused.member == "portal" and refused.remedy
+        assert all(not each.moving(axis) for each in clock_fleet.controllers.values() for axis in each.axes)
+        await client.close()
+
+    run_fleet(main, wired_fleet())
+
+    async def cut(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = count(fleet)
+        report = await outcome(fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
+        assert report.state == "failed" and "portal" in report.reason
+        assert len(fleet.controllers["portal"].motions) == before["portal"]
+        states = await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        assert states["stage"].mode == "idle"
+
+    run_fleet(cut, wired_fleet(), wired=wired_fleet(to=["stage.start"]))
+
+
+def test_without_a_wire_a_start_by_line_is_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        refused = await refusal(fleet, job("[{do: move, to: {gantry.x: 5}, start: line}]"))
+        assert refused.code == "start-class" and "wiring" in refused.remedy
+
+    run_fleet(main, wired_fleet())
+
+
+def test_wires_differ_in_delay_within_their_bounds() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        at: dict[str, int] = {}
+        began_ns = fleet.clock.now_ns()
+        for name in ("stage", "portal"):
+            unit, number = fleet.controllers[name], 2
+            plain = unit.set_input
+
+            def seen(point: int, level: bool, name: str = name, plain: Any = plain, number: int = number) -> None:
+                if point == number:
+                    at[name] = fleet.clock.now_ns() - began_ns
+                plain(point, level)
+
+            unit.set_input = seen  # type: ignore[method-assign]
+        client = fleet.client()
+        began_ns = fleet.clock.now_ns()
+        await client.raw("gantry", "SB 2", i_know=True)
+        await sleep_ns(fleet.clock, 10 * NS_PER_MS)
+        assert set(at) == {"stage", "portal"}
+        assert 0 < abs(at["stage"] - at["portal"]) <= 35 * NS_PER_US
+
+    run_fleet(main, wired_fleet())
