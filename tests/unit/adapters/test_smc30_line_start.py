@@ -1,0 +1,270 @@
+"""SMC30 started by a wired line, or driving one, judged by the simulator's truth."""
+
+import asyncio
+
+import pytest
+from unit.adapters.test_smc30_bench import HOST, WINDOW_NS, World, drive, run, wait
+
+from adapters.contract import CannotDo, DriverFault
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
+from orchestrator.model.messages import LineWait, StartWay
+
+
+def window(lowered_terms: object) -> tuple[int, int]:
+    terms = list(lowered_terms)  # type: ignore[call-overload]
+    return sum(term.earliest_ns for term in terms), sum(term.latest_ns for term in terms)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("live", [False, True])
+def test_a_unit_waits_for_its_line_and_starts_within_its_terms(seed: int, live: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        lowered, t0_ns = await world.arm(driver, 6000, wait())
+        assert lowered.start_class == "line"
+        assert [term.name for term in lowered.terms] == ["line", "input", "firmware"]
+        await driver.verify()
+        await driver.go()
+        assert not (await driver.poll()).axes["x"].moving
+        await sleep_until_ns(world.clock, t0_ns)
+        unit.set_input(1, True)
+        span = (await driver.started())["x"]
+        outcome = await driver.outcome()
+        assert outcome.state == "done"
+        motion = unit.motions[0]
+        low, high = window(lowered.terms)
+        assert low <= motion.start_ns - t0_ns <= high
+        assert span.earliest_ns <= motion.start_ns <= span.latest_ns
+        assert motion.end_ns is not None
+        assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
+        assert motion.end_counts == 6000
+
+    run(main, simulate={"input_poll_ms": 1.0, "live_verify": live}, seed=seed)
+
+
+def test_a_line_that_is_active_already_is_refused() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        unit.set_input(1, True)
+        await world.sleep(5)
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(driver, 6000, wait())
+        assert caught.value.refusal.code == "line-level"
+        await world.sleep(2000)
+        assert not unit.motions
+        unit.set_input(1, False)
+        await driver.disarm()
+        await world.arm(driver, 6000, wait())
+
+    run(main)
+
+
+def test_an_input_that_is_active_low_is_waited_for_as_such() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(driver, 500, wait())
+        assert caught.value.refusal.code == "line-level"
+        unit.set_input(1, True)
+        await world.sleep(5)
+        lowered, _ = await world.arm(driver, 500, wait())
+        assert "N11.09" in lowered.program
+        unit.set_input(1, False)
+        await world.sleep(1000)
+        assert unit.position("1") == 500
+
+    run(main, inputs={"go": {"number": 1, "active": "low"}})
+
+
+@pytest.mark.parametrize("way", ["disarm", "stop", "abort"])
+def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 6000, wait())
+        await driver.verify()
+        if way == "disarm":
+            await driver.disarm()
+        else:
+            await driver.stop(way == "abort")
+            await driver.disarm()
+        unit.set_input(1, True)
+        await world.sleep(3000)
+        assert not unit.motions
+        reading = await driver.poll()
+        assert not reading.axes["x"].lost  # it had not moved
+        unit.set_input(1, False)
+        _, _, outcome = await world.move(driver, 800)
+        assert outcome.state == "done"
+
+    run(main)
+
+
+def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 6000, wait())
+        await driver.verify()
+        await driver.go()
+        await driver.started()
+        outcome = await driver.outcome()
+        assert outcome.state == "fault"
+        assert "go" in outcome.reason
+        unit.set_input(1, True)
+        await world.sleep(3000)
+        assert not unit.motions
+
+    run(main)
+
+
+def test_a_waiting_unit_that_was_switched_off_is_not_promised() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 6000, wait())
+        unit.set_power(False)
+        await world.sleep(200)
+        unit.set_power(True)
+        await world.sleep(200)
+        with pytest.raises(CannotDo) as caught:
+            await driver.verify()
+        assert caught.value.refusal.code == "not-armed"
+
+    run(main)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_driven_line_is_active_at_t0_and_passive_again(seed: int, moves: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        edges: list[tuple[int, bool]] = []
+        unit.on_output(lambda number, level: edges.append((world.clock.now_ns(), level)) if number == 2 else None)
+        profiles = await world.plan(driver, 400) if moves else {}
+        lowered = driver.lower(profiles, drive(300), None)
+        t0_ns = world.t0(lowered)
+        await driver.arm(lowered, t0_ns, None)
+        await driver.verify()
+        await driver.go()
+        spans = await driver.started()
+        assert set(spans) == set(profiles)
+        assert (await driver.outcome()).state == "done"
+        (on_ns, on), (off_ns, off) = edges
+        assert (on, off) == (True, False)
+        low, high = window(lowered.edge)
+        assert low <= on_ns - t0_ns <= high
+        assert 290 * NS_PER_MS <= off_ns - on_ns <= 320 * NS_PER_MS
+        if moves:
+            low, high = window(lowered.terms)
+            assert low <= unit.motions[0].start_ns - t0_ns <= high
+            assert spans["x"].earliest_ns <= unit.motions[0].start_ns <= spans["x"].latest_ns
+
+    run(main, seed=seed)
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_stop_leaves_the_driven_line_passive(abort: bool, moves: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        profiles = await world.plan(driver, 20_000) if moves else {}
+        lowered = driver.lower(profiles, drive(3000), None)
+        t0_ns = world.t0(lowered)
+        await driver.arm(lowered, t0_ns, None)
+        await driver.go()
+        await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
+        assert unit.output(2)
+        await driver.stop(abort)
+        await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
+        assert not unit.output(2)
+        assert unit.at_rest()
+
+    run(main)
+
+
+def test_nothing_is_driven_without_go_and_an_active_line_is_refused() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        lowered = driver.lower({}, drive(), None)
+        t0_ns = world.t0(lowered)
+        await driver.arm(lowered, t0_ns, None)
+        await driver.verify()
+        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
+        assert not unit.output(2)
+        await driver.disarm()
+        await driver.set_output(2, True)
+        with pytest.raises(CannotDo) as caught:
+            await driver.arm(lowered, world.t0(lowered), None)
+        assert caught.value.refusal.code == "line-level"
+
+    run(main)
+
+
+def test_one_unit_of_a_bus_drives_the_line_that_the_others_wait_for() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        first, *others = world.drivers
+        for each in others:
+            world.units[first].on_output(
+                lambda number, level, each=each: world.units[each].set_input(1, level) if number == 2 else None
+            )
+        ways = {first: drive(), **dict.fromkeys(others, wait())}
+        lowered = {
+            each: driver.lower(await world.plan(driver, 3000) if each != first else {}, ways[each], None)
+            for each, driver in world.drivers.items()
+        }
+        t0_ns = world.t0(lowered[first])
+        for each, driver in world.drivers.items():
+            await driver.arm(lowered[each], t0_ns, None)
+        await asyncio.gather(*(driver.verify() for driver in world.drivers.values()))
+        await asyncio.gather(*(driver.go() for driver in world.drivers.values()))
+        await asyncio.gather(*(driver.started() for driver in world.drivers.values()))
+        outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers.values()))
+        assert [outcome.state for outcome in outcomes] == ["done"] * 4
+        starts = [world.units[each].motions[0].start_ns for each in others]
+        assert max(starts) - min(starts) < 2 * NS_PER_MS
+
+    run(main, (1, 2, 3, 7), {"input_poll_ms": 1.0})
+
+
+def test_what_can_not_be_waited_for_or_driven_is_refused() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, _ = world.one
+        profiles = await world.plan(driver, 500)
+        both = StartWay(wait=wait().wait, drive=drive().drive)
+        for how in (wait("nothing"), StartWay(by="clock"), StartWay(by="line"), both):
+            with pytest.raises(CannotDo) as caught:
+                driver.lower(profiles, how, None)
+            assert caught.value.refusal.code == "start-class"
+            assert caught.value.refusal.remedy
+        # Where the line may be is part of the budget.
+        late = LineWait(input="go", earliest_ns=0, latest_ns=NS_PER_MS)
+        lowered = driver.lower(profiles, StartWay(wait=late), None)
+        assert lowered.window_ns[1] - driver.lower(profiles, wait(), None).window_ns[1] == NS_PER_MS - WINDOW_NS
+        assert driver.lower(profiles, HOST, None).start_class == "host"
+
+    run(main)
+
+
+def test_a_waiting_unit_that_a_person_stops_is_not_started() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 6000, wait())
+        await driver.verify()
+        await driver.go()
+        await driver.raw("K")
+        with pytest.raises(DriverFault) as caught:
+            await driver.started()
+        assert caught.value.fault.code == "not-started"
+        assert not unit.motions
+
+    run(main)
