@@ -26,6 +26,7 @@ from adapters.shrc203.lowering import ShrcLowered, Wire, lower
 from adapters.shrc203.moves import Mover
 from adapters.shrc203.options import Options
 from adapters.shrc203.polling import Poller
+from adapters.shrc203.registered import Kind, registered
 from adapters.shrc203.replies import BITS, flags
 from adapters.shrc203.session import Session
 from adapters.shrc203.standby import can_wait_at_rest
@@ -203,6 +204,15 @@ class ShrcDriver(Driver):
         unit = self._connected()
         await unit.session.tell("BEC:W")
         await self._read_motors(unit)
+
+    async def registered(self, kind: Kind) -> Mapping[int, Mapping[str, int]]:
+        """Positions that are registered in the unit: pulses by axis, by number (1 to 20).
+
+        kind: `place` of the stage, in coordinates of now (PIT:), or `coordinates` (PAV:). Raises `CannotDo`.
+        """
+        found = await registered(self._connected().session, kind)
+        motors = fleetaxes.motors(self._config)
+        return {number: {name: record[motors[name] - 1] for name in motors} for number, record in found.items()}
 
     async def raw(self, command: str) -> str:
         session = self._connected().session

@@ -13,7 +13,7 @@ from adapters.shrc203.output import DrivenOutput
 from adapters.shrc203.replies import REFUSALS, STATUS, AxisStatus, amounts, entries, status
 from adapters.shrc203.session import EOL, Pending, Session
 from adapters.shrc203.standby import COMPLETION_LATE_NS, Standby
-from adapters.shrc203.status import ERRORS, why_stopped
+from adapters.shrc203.status import ERRORS, UNSETTLED, why_stopped
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 
@@ -369,7 +369,8 @@ class Mover:
             now = move.seen[each.motor]
             if now.busy:
                 error = True
-                reasons.append(f"axis {each.name} does not come to rest")
+                what = "does not settle in its in-position range" if now.word & UNSETTLED else "does not come to rest"
+                reasons.append(f"axis {each.name} {what}")
             arrived = now.counts == each.start_counts + each.distance
             error = error or bool(now.word & ERRORS)
             if not arrived or now.word & ERRORS:

@@ -103,6 +103,11 @@ class Session:
             raise DriverFault(said.code, said.text, said.remedy)
         return line
 
+    async def ask_if_any(self, command: str, form: Form) -> str | None:
+        """The reply to a query that is refused when there is nothing to tell; None then."""
+        line = await self._exchange(command, form)
+        return None if line.text in REFUSALS else line.text
+
     async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
         """Give a setting. Raises `CannotDo` when the controller refuses it.
 

@@ -6,6 +6,7 @@ from orchestrator.model.state import Fault
 SCALE_ERROR = 1 << 2
 DISCONNECTED = 1 << 3
 EMERGENCY = 1 << 5
+UNSETTLED = 1 << 16  # out of the in-position range while BUSY (L551)
 LOGICAL_RETURN = 1 << 17
 MECHANICAL_RETURN = 1 << 18
 CW_LIMIT = 1 << 19
