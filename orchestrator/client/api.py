@@ -29,6 +29,8 @@ from orchestrator.model.service import (
     StopFleet,
     Submit,
     Submitted,
+    WireFound,
+    WiringChecked,
 )
 from orchestrator.model.state import ControllerState, Info
 
@@ -41,6 +43,7 @@ ANSWER_S = 3.0
 STOP_LOOK_S = 0.3  # for seeing whom to stop: an adapter that takes longer to say that it is there hangs
 DRY_RUN_S = 30.0
 RELOAD_S = 60.0
+WIRING_S = 60.0
 
 
 class Refused(Exception):
@@ -211,6 +214,10 @@ class Tutti:
         """Give the running fleet another fleet file; the controllers that have changed. Raises `Refused`."""
         request = Reload(**self.fields(), configuration=fleet.to_plain())
         return (await self.service("reload", request, Reloaded, RELOAD_S)).changed
+
+    async def check_wiring(self) -> list[WireFound]:
+        """Whether each wire of the fleet file is there; nothing moves. Raises `Refused` while wired axes are in use."""
+        return (await self.service("check-wiring", Request(**self.fields()), WiringChecked, WIRING_S)).wires
 
     async def info(self, controller: str) -> Info:
         """Who a controller is, what it can do, and the configuration that its adapter holds. Raises `Refused`."""

@@ -24,10 +24,11 @@ from orchestrator.coordinator.runner import Interrupted, Runner, queue_state
 from orchestrator.coordinator.steps import PlainSteps, check_job
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
+from orchestrator.coordinator.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Move
-from orchestrator.model.messages import Adopt, Adopted, Refusal, Reply
+from orchestrator.model.messages import Adopt, Adopted, Refusal, Reply, Request
 from orchestrator.model.service import (
     GiveBack,
     JobRef,
@@ -42,6 +43,7 @@ from orchestrator.model.service import (
     Submitted,
     Take,
     Taken,
+    WiringChecked,
 )
 from orchestrator.model.state import ControllerState
 
@@ -97,6 +99,7 @@ class Coordinator:
         )
         self._hands = Hands(self._view, self._leases, permits)
         self._reloading = Reloading(self._view, members, self._leases, clock, court.save_fleet)
+        self._wiring = WiringCheck(self._view, members, self._leases, clock)
         self._adopting: set[str] = set()
         self._adopted: dict[str, str] = {}
         self._declared: list[Declared] = []
@@ -112,6 +115,7 @@ class Coordinator:
             "take": (Take, self._take),
             "release": (GiveBack, self._release),
             "reload": (Reload, self._reload),
+            "check-wiring": (Request, self._check_wiring),
         }
 
     async def start(self, take_over: bool = False) -> None:
@@ -291,6 +295,12 @@ class Coordinator:
             return Reloaded(refused=Refusal(code="bad-file", text=text, remedy="correct the fleet file"))
         self._log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
         return Reloaded(changed=changed)
+
+    async def _check_wiring(self, request: Request) -> Model:
+        try:
+            return WiringChecked(wires=await self._wiring.check(request.actor))
+        except Refuse as error:
+            return WiringChecked(refused=error.refusal)
 
     def _spawn(self, coroutine: Any) -> None:
         task: asyncio.Task[None] = asyncio.get_running_loop().create_task(coroutine)

@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.report import JobReport, QueueEntry, StepRecording, Transition
@@ -93,3 +94,17 @@ class Reloaded(Reply):
     """Controllers that have taken another configuration."""
 
     changed: list[str] = Field(default=[])
+
+
+class WireFound(Model):
+    """What was found of the wire from an output to an input, both `controller.point`."""
+
+    output: str
+    input: str
+    ok: bool
+    text: str
+    remedy: str = ""
+
+
+class WiringChecked(Reply):
+    wires: list[WireFound] = Field(default=[])

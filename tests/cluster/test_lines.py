@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
+from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
@@ -160,3 +161,71 @@ def test_wires_differ_in_delay_within_their_bounds() -> None:
         assert 0 < abs(at["stage"] - at["portal"]) <= 35 * NS_PER_US
 
     run_fleet(main, wired_fleet())
+
+
+@pytest.mark.parametrize(
+    ("really", "said"),
+    [
+        ({}, {"stage.start": "follows", "portal.start": "follows"}),
+        ({"to": ["portal.start"]}, {"stage.start": "does not follow", "portal.start": "follows"}),
+        ({"from": "gantry.lamp"}, {"stage.start": "does not follow", "portal.start": "does not follow"}),
+    ],
+)
+def test_the_wiring_check_finds_what_is_wrong_without_motion(really: dict[str, Any], said: dict[str, str]) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        found = await fleet.client().check_wiring()
+        assert {each.input for each in found} == set(said)
+        for each in found:
+            assert each.text.startswith(said[each.input])
+            assert each.ok == (each.text == "follows") == (not each.remedy)
+        assert not any(each.motions for each in fleet.controllers.values())
+        assert not any(fleet.controllers["gantry"].output(number) for number in (1, 2))
+        # Everything is free again.
+        prepared = await outcome(fleet, PREPARE)
+        assert prepared.state == "done", prepared.reason
+
+    run_fleet(main, wired_fleet(), wired=wired_fleet(**really))
+
+
+def test_the_wiring_check_finds_wrong_levels_and_wires_that_nobody_knows_of() -> None:
+    inverted = wired_fleet().to_plain()
+    inverted["controllers"]["stage"]["inputs"]["start"]["active"] = "low"
+
+    async def main(fleet: VirtualFleet) -> None:
+        found = {each.input: each for each in await fleet.client().check_wiring()}
+        assert found["portal.start"].ok
+        assert "wrong way round" in found["stage.start"].text and "active" in found["stage.start"].remedy
+
+    run_fleet(main, wired_fleet(), wired=Fleet.model_validate(inverted))
+
+    async def crossed(fleet: VirtualFleet) -> None:
+        found = {each.input: each for each in await fleet.client().check_wiring()}
+        assert found["stage.start"].ok
+        assert not found["portal.start"].ok and "although" in found["portal.start"].text
+
+    run_fleet(crossed, wired_fleet(to=["stage.start"]), wired=wired_fleet())
+
+    async def stuck(fleet: VirtualFleet) -> None:
+        fleet.within("portal", lambda unit: unit.set_input(2, False))
+        await sleep_ns(fleet.clock, 500 * NS_PER_MS)
+        found = {each.input: each for each in await fleet.client().check_wiring()}
+        assert found["stage.start"].ok
+        assert "stuck" in found["portal.start"].text
+
+    run_fleet(stuck, wired_fleet(), wired=wired_fleet(to=["stage.start"]))
+
+
+def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        async with client.by_hand(["portal.x"]):
+            with pytest.raises(Refused, match="in use"):
+                await client.check_wiring()
+
+    run_fleet(main, wired_fleet())
+
+    async def bare(fleet: VirtualFleet) -> None:
+        with pytest.raises(Refused, match="wiring"):
+            await fleet.client().check_wiring()
+
+    run_fleet(bare)

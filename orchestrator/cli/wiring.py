@@ -1,0 +1,40 @@
+"""`tutti wiring …`: the lines between controllers."""
+
+import json
+
+import click
+
+from orchestrator.cli.codes import FAILED
+from orchestrator.cli.common import console, fleet_options, with_fleet
+
+
+@click.group(epilog="Example: tutti wiring check")
+def wiring() -> None:
+    """The lines from outputs of controllers to inputs of others that can start moves."""
+
+
+@wiring.command(epilog="Example: tutti wiring check")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+@fleet_options
+def check(as_json: bool, connect: str, fleet: str | None) -> None:
+    """See whether every wire of the fleet file is there: switch its output, and read all inputs.
+
+    Nothing moves; all axes of the controllers that are wired are in hand meanwhile. Exit 1 when a wire is wrong.
+    """
+    from orchestrator.client import Tutti
+    from orchestrator.monitor.tables import plain_table
+
+    async def act(tutti: Tutti) -> None:
+        found = await tutti.check_wiring()
+        if as_json:
+            console.print_json(json.dumps([each.to_plain() for each in found]))
+        else:
+            table = plain_table(["output", "input", "", "found"])
+            for each in found:
+                words = f"{each.text}; {each.remedy}" if each.remedy else each.text
+                table.add_row(each.output, each.input, "[green]ok[/]" if each.ok else "[red]wrong[/]", words)
+            console.print(table)
+        if not all(each.ok for each in found):
+            raise SystemExit(FAILED)
+
+    with_fleet(connect, fleet, act)
