@@ -28,18 +28,22 @@ class Disturbed(Exception):
 
 @dataclass(slots=True)
 class Shot:
-    """A slot for one line that is written at an instant: from `begin_ns` on, answered before `end_ns`, both host ns.
+    """A slot for one line that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after that.
 
-    reply: what has come in it; None: nothing, until its end.
+    heard: what has come in it; None: nothing, until its end.
     """
 
     unit: int | None
     begin_ns: int
-    end_ns: int
     wire_ns: int
+    each_ns: int
     heard: "asyncio.Future[Reply | None]" = field(
         default_factory=lambda: asyncio.get_running_loop().create_future(), repr=False
     )
+
+    @property
+    def end_ns(self) -> int:
+        return self.begin_ns + self.wire_ns + self.each_ns
 
     def hear(self, reply: Reply | None) -> None:
         if not self.heard.done():
@@ -209,7 +213,7 @@ class Line:
     def reserve(self, shot: Shot) -> None:
         """Keep a slot free. Raises `CannotDo` when another one overlaps it."""
         for other in self._shots:
-            if shot.begin_ns < other.end_ns and other.begin_ns < shot.end_ns:
+            if abs(shot.begin_ns - other.begin_ns) < max(shot.each_ns, other.each_ns):
                 raise CannotDo(
                     "line-busy",
                     f"{_named(shot.unit)}: the line starts {_named(other.unit)} at that instant",
@@ -236,8 +240,8 @@ class Line:
             self._lost(link, error)
 
     def _take(self, reply: Reply) -> None:
-        fired = [shot for shot in self._shots if shot.begin_ns + shot.wire_ns <= reply.at_ns]
-        if fired and reply.at_ns <= fired[-1].end_ns:
+        fired = [shot for shot in self._shots if shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns]
+        if fired:
             max(fired, key=lambda shot: shot.begin_ns).hear(reply)
             return
         waiting = self._waiting

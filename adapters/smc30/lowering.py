@@ -46,10 +46,13 @@ class Slots:
 
 
 def slots(options: Options, char_ns: int, place: int, count: int) -> Slots:
-    """One slot is long enough for a starting line and its answer, as late as it may be."""
+    """From the end of one starting line to the end of the next; by then the first is answered, as late as it may be.
+
+    The next one is on its way while the answer comes: both directions have a wire of their own.
+    """
     late_us = options.fire_late_us + options.decode_us + options.decode_spread_us
     late_us += 2 * options.wire_jitter_us + options.hold_us
-    needed_ns = (_START_CHARACTERS + _ANSWER_CHARACTERS) * char_ns + late_us * NS_PER_US
+    needed_ns = max(_ANSWER_CHARACTERS * char_ns + late_us * NS_PER_US, _START_CHARACTERS * char_ns)
     return Slots(place, count, ceil(needed_ns / DELAY_NS) * DELAY_NS)
 
 

@@ -118,7 +118,7 @@ class Mover:
         latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
-        shot = Shot(session.unit, at_ns, at_ns + self._slots.each_ns, wire_ns)
+        shot = Shot(session.unit, at_ns, wire_ns, self._slots.each_ns)
         session.line.reserve(shot)
         move.shot = shot
         move.order = self._firer.schedule(session.line.link, data, at_ns, latest_ns)

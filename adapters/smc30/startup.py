@@ -6,11 +6,10 @@ from adapters.contract import CannotDo, DriverFault
 from adapters.smc30.frames import Reply, line
 from adapters.smc30.options import Options
 from adapters.smc30.session import Busy, Session
-from adapters.smc30.unitstate import SENTINEL, SENTINEL_REGISTER, STATUS, UnitState
+from adapters.smc30.unitstate import EITHER, SENTINEL, SENTINEL_REGISTER, STATUS, UnitState
 from orchestrator.clock.base import NS_PER_S, Clock
 
 TOP_RATE = re.compile(r"T\d{2,5}|B")
-_EITHER = re.compile(r"Y|E4")
 
 
 async def meet(unit: UnitState) -> None:
@@ -39,7 +38,7 @@ async def meet(unit: UnitState) -> None:
 async def _leave_programming(session: Session) -> None:
     """PX; in Standby it is refused or does nothing (L1893-L1899)."""
     try:
-        await session.ask("PX", _EITHER)
+        await session.ask("PX", EITHER)
     except Busy:
         return
     except CannotDo as error:

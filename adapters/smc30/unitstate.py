@@ -12,6 +12,7 @@ from adapters.smc30.session import Answer, Busy, Session
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 
+EITHER = re.compile(r"Y|E4")  # to PX, which Standby may refuse
 STATUS = re.compile(r"[RB]|E[45]")
 POSITION = re.compile(r"V([+-]?\d+)|B")
 POINTS = re.compile(r"V([0-7])([0-7])|B")
@@ -51,6 +52,8 @@ class UnitState:
     program_error: bool = False
     overflow: bool = False
     program: tuple[str, ...] | None = None
+    programming: bool = False
+    """It may be in Programming Mode: what was to take it out of it has not been answered."""
     live: bool | None = None
     doing: Doing = "nothing"
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -62,6 +65,10 @@ class UnitState:
     async def status(self) -> Status:
         """F (L1818-L1827)."""
         answer = await self.session.ask("F", STATUS)
+        if self.programming and answer.text != "B":
+            with suppress(Busy):
+                await self.session.ask("PX", EITHER)
+            self.programming = False
         if answer.text == "E4":
             self.program_error = True
         elif answer.text == "E5":
@@ -121,16 +128,14 @@ class UnitState:
         program = tuple(lines)
         try:
             if self.program != program:
-                self.program = None
+                self.program, self.programming = None, True
                 await self.session.upload(program, since)
+                self.programming = False
             found = await self.session.listing()
         except Busy:
             raise CannotDo("moving", f"{self.session.name} executes a program", "wait, or stop it") from None
         except CannotDo:
             self.program = None
-            with suppress(CannotDo, Busy, DriverFault):
-                # Half a program: whatever is said next must not become a part of it.
-                await self.session.tell("PX")
             raise
         if tuple(found) != program:
             self.program = None

@@ -1,0 +1,569 @@
+"""SMC30 that are met in any state, disturbed, refused, garbled, switched off: always a clear fault, never a wrong move."""
+
+import asyncio
+import contextlib
+from random import Random
+
+import pytest
+from unit.adapters.test_smc30_bench import HOST, World, config, run, wait
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.smc30 import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
+from orchestrator.link.base import LinkClosed, LinkRefused
+
+TROUBLE = (CannotDo, DriverFault, LinkClosed, LinkRefused)
+
+
+def framed(text: str) -> bytes:
+    return text.encode() + bytes((sum(text.encode()) % 128,)) + b"\r"
+
+
+# Met in any state
+
+
+def test_a_unit_left_in_programming_mode_with_a_line_half_typed() -> None:
+    async def main(world: World) -> None:
+        driver, unit = world.one
+        await world.typed(framed("2PO") + framed("2+500") + b"2+700")
+        await world.ready()
+        _, _, outcome = await world.move(driver, 300)
+        assert outcome.state == "done"
+        assert [motion.end_counts for motion in unit.motions] == [300]
+
+    run(main, (2,))
+
+
+def test_a_half_typed_motion_of_a_person_is_not_ended_into_one() -> None:
+    async def main(world: World) -> None:
+        _, unit = world.one
+        await world.typed(b"+700")
+        await world.ready()
+        assert not unit.motions
+
+    run(main, options={"checksum": False})
+
+
+def test_a_program_that_runs_is_not_stopped_but_waited_for() -> None:
+    async def main(world: World) -> None:
+        driver, unit = world.one
+        await world.typed(framed("S100") + framed("T1000") + framed("+3000"), 300)
+        assert unit.moving("1")
+        await driver.connect()
+        await driver.configure()
+        assert unit.position("1") == 3000
+        assert (await driver.poll()).axes["x"].commanded_counts == 3000
+
+    run(main)
+
+
+def test_a_program_that_does_not_end_is_a_fault_with_a_remedy() -> None:
+    async def main(world: World) -> None:
+        driver, unit = world.one
+        await world.typed(b"".join(map(framed, ("PO", "W1", "+700", "E"))), 100)
+        await driver.connect()
+        with pytest.raises(DriverFault) as caught:
+            await driver.configure()
+        assert caught.value.fault.code == "busy"
+        assert caught.value.fault.remedy
+        assert not unit.motions
+
+    run(main, options={"busy_wait_s": 2})
+
+
+def test_a_factor_that_somebody_has_left_changes_no_length() -> None:
+    async def main(world: World) -> None:
+        driver, unit = world.one
+        await world.typed(framed("con=2.3456") + framed("+450"), 2000)
+        await world.ready()
+        await world.move(driver, 2000)
+        assert unit.position("1") == 2000
+
+    run(main)
+
+
+@pytest.mark.parametrize("switched_on", [True, False])
+def test_the_checksum_switch_is_compared(switched_on: bool) -> None:
+    async def main(world: World) -> None:
+        driver, _ = world.one
+        with pytest.raises(DriverFault) as caught:
+            await driver.connect()
+        assert caught.value.fault.code == "config-mismatch"
+        assert f"`checksum: {str(switched_on).lower()}`" in caught.value.fault.remedy
+
+    run(main, (4,), {"checksum": switched_on}, options={"checksum": not switched_on})
+
+
+@pytest.mark.parametrize(
+    "firmware",
+    [{"live_verify": True}, {"direct_moves": False}, {"power_up_e1": True}, {"input_poll_ms": 2.0}, {"line_limit": 40}],
+)
+def test_every_firmware_that_the_manual_leaves_open_does(firmware: dict[str, object]) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        for target in (4000, -2000):
+            _, span, outcome = await world.move(driver, target)
+            assert outcome.state == "done"
+            assert span.earliest_ns <= unit.motions[-1].start_ns <= span.latest_ns
+        assert unit.position("1") == -2000
+
+    run(main, (5,), firmware)
+
+
+# Before the start
+
+
+def test_a_plan_from_elsewhere_is_refused_at_arming_and_at_the_promise() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        profiles = await world.plan(driver, 1000)
+        lowered = driver.lower(profiles, HOST, None)
+        await driver.raw("f+10")
+        with pytest.raises(CannotDo, match="stands at 10") as caught:
+            await driver.arm(lowered, world.t0(lowered), None)
+        assert caught.value.refusal.code == "other-start"
+        await driver.disarm()
+        await driver.raw("f+0")
+        await driver.arm(lowered, world.t0(lowered), None)
+        await driver.raw("f-1")
+        with pytest.raises(CannotDo) as caught:
+            await driver.verify()
+        assert caught.value.refusal.code == "other-start"
+        await driver.disarm()
+        assert not unit.motions
+
+    run(main)
+
+
+@pytest.mark.parametrize("error", ["E1", "E2", "E3", "E4", "E5", "E6", "B"])
+@pytest.mark.parametrize("nth", range(14))
+def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nth: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        lowered = driver.lower(await world.plan(driver, 1000), wait() if nth % 2 else HOST, None)
+        count = 0
+
+        def refuse(data: bytes) -> bytes:
+            nonlocal count
+            count += 1
+            return framed(error) if nth <= count - 1 < nth + 3 else data
+
+        world.wire.to_near = refuse
+        armed = False
+        try:
+            await driver.arm(lowered, world.t0(lowered), None)
+            armed = True
+        except (CannotDo, DriverFault) as caught:
+            said = caught.refusal if isinstance(caught, CannotDo) else caught.fault
+            assert said.code
+            assert said.text
+        world.wire.to_near = None
+        await driver.disarm()
+        await world.sleep(500)
+        unit.set_input(1, True)
+        await world.sleep(1500)
+        assert not unit.motions, f"armed: {armed}"
+        unit.set_input(1, False)
+        await driver.clear_faults()
+        _, _, outcome = await world.move(driver, 1000)
+        assert outcome.state == "done"
+        assert unit.position("1") == 1000
+
+    run(main, seed=nth)
+
+
+def test_a_unit_without_current_is_not_moved() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await driver.enable(["x"], False)
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(driver, 1000)
+        assert caught.value.refusal.code == "not-enabled"
+        assert not unit.motions
+
+    run(main)
+
+
+def test_the_permanent_memory_is_never_written_and_what_is_loaded_is_not_loaded_again() -> None:
+    async def main(world: World) -> None:
+        said: list[bytes] = []
+
+        def listen(data: bytes) -> bytes:
+            said.append(data)
+            return data
+
+        world.wire.to_far = listen
+        await world.ready()
+        driver, _ = world.one
+        lowered = driver.lower(await world.plan(driver, 1000), HOST, None)
+        await driver.arm(lowered, world.t0(lowered), None)
+        await driver.disarm()
+        before = len(said)
+        await driver.arm(lowered, world.t0(lowered), None)
+        again = said[before:]
+        assert b"6Q\x07\r" in again
+        assert not any(line.startswith(b"6PO") for line in again)
+        assert not any(line[1:2] in (b"M", b"X") or line[1:3] == b"I6" for line in said)
+
+    run(main, (6,))
+
+
+# On the way
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        draw = Random(seed)
+
+        def spoil(data: bytes) -> bytes:
+            # What the line makes of a character: another one with the wrong parity, or none at all.
+            return bytes(draw.randrange(128, 256) if draw.random() < 0.02 else each for each in data)
+
+        wrong = 0
+        for target in (500, -700, 900, 100, 1500, -1500):
+            await driver.clear_faults()
+            profiles = await world.plan(driver, target)
+            world.wire.to_far = world.wire.to_near = spoil
+            lowered = driver.lower(profiles, HOST, None)
+            begun = len(unit.motions)
+            try:
+                await driver.arm(lowered, world.t0(lowered), None)
+                await driver.verify()
+                await driver.go()
+                await driver.started()
+                assert (await driver.outcome()).state == "done"
+            except (CannotDo, DriverFault):
+                wrong += 1
+            world.wire.to_far = world.wire.to_near = None
+            await driver.disarm()
+            await world.sleep(2500)
+            assert unit.at_rest()
+            # It has gone where it was told, or not at all.
+            assert unit.position("1") in (target, profiles["x"].start_counts) or len(unit.motions) > begun
+            if len(unit.motions) > begun:
+                assert min(profiles["x"].start_counts, target) <= unit.position("1")
+                assert unit.position("1") <= max(profiles["x"].start_counts, target)
+        assert wrong < 6
+
+    run(main, (1,), seed=seed)
+
+
+@pytest.mark.parametrize("checksum", [True, False])
+def test_two_units_with_one_address_are_said(checksum: bool) -> None:
+    async def main(world: World) -> None:
+        driver, _ = world.one
+        world.units[3].set_input(1, True)
+        await world.sleep(5)
+        with pytest.raises(DriverFault) as caught:
+            await driver.connect()
+            await driver.configure()
+            for _ in range(20):
+                await driver.poll()
+        assert caught.value.fault.code in ("two-answers", "garbage")
+        assert "address" in caught.value.fault.remedy
+
+    run(main, (3, 3), options={"checksum": checksum})
+
+
+def test_a_unit_that_is_off_is_said_and_the_others_are_read() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        world.units[2].set_power(False)
+        with pytest.raises(DriverFault) as caught:
+            await world.drivers[2].poll()
+        assert caught.value.fault.code == "no-answer"
+        assert "unit 2" in caught.value.fault.text
+        for address in (1, 3):
+            assert not (await world.drivers[address].poll()).axes["x"].moving
+        world.units[2].set_power(True)
+        assert (await world.drivers[2].poll()).restarted
+        assert not (await world.drivers[2].poll()).restarted
+
+    run(main, (1, 2, 3))
+
+
+def test_replies_never_mix_while_all_are_read_and_some_are_stopped() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        for address in world.drivers:
+            await world.drivers[address].raw(f"f+{1000 * (address or 0)}")
+        draw = Random(5)
+        ended = False
+
+        async def read(address: int) -> int:
+            times = 0
+            while not ended:
+                reading = await world.drivers[address].poll()
+                assert reading.axes["x"].commanded_counts == 1000 * address
+                times += 1
+                await world.sleep(draw.uniform(1, 30))
+            return times
+
+        reading = [asyncio.get_running_loop().create_task(read(address)) for address in range(1, 8)]
+        for _ in range(20):
+            await world.sleep(draw.uniform(50, 400))
+            await world.drivers[draw.randrange(1, 8)].stop(draw.random() < 0.5)
+        await world.sleep(2000)
+        ended = True
+        assert min(await asyncio.gather(*reading)) > 5
+
+    run(main, range(1, 8))
+
+
+@pytest.mark.parametrize("after_ms", [0, 20, 60, 120, 200, 260])
+def test_a_stop_of_one_unit_while_another_is_loaded(after_ms: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        one, other = world.drivers[1], world.drivers[2]
+        await other.raw("T200")
+        await other.raw("+5000")
+        lowered = one.lower(await world.plan(one, 1000), HOST, None)
+        arming = asyncio.get_running_loop().create_task(one.arm(lowered, world.t0(lowered), None))
+        await world.sleep(after_ms)
+        await other.stop(False)
+        await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
+        assert not world.units[2].moving("1")
+        with contextlib.suppress(CannotDo):
+            await arming
+        await one.disarm()
+        assert not world.units[1].motions
+        _, _, outcome = await world.move(one, 1000)
+        assert outcome.state == "done"
+
+    run(main, (1, 2))
+
+
+# In a move
+
+
+def test_power_lost_in_a_move_is_a_fault_and_noticed() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 10_000)
+        await driver.verify()
+        await driver.go()
+        await driver.started()
+        await world.sleep(300)
+        unit.set_power(False)
+        with pytest.raises(DriverFault) as caught:
+            await driver.outcome()
+        assert caught.value.fault.code == "no-answer"
+        unit.set_power(True)
+        assert (await driver.poll()).restarted
+        await driver.enable(["x"], True)
+        _, _, outcome = await world.move(driver, 500)
+        assert outcome.state == "done"
+
+    run(main)
+
+
+def test_power_lost_and_back_in_a_move() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 10_000)
+        await driver.verify()
+        await driver.go()
+        await driver.started()
+        await world.sleep(300)
+        unit.set_power(False)
+        await world.sleep(50)
+        unit.set_power(True)
+        assert (await driver.outcome()).state == "fault"
+        assert (await driver.poll()).restarted
+
+    run(main)
+
+
+def test_an_end_of_travel_is_a_fault_that_names_the_side() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, _ = world.one
+        _, _, outcome = await world.move(driver, 5000)
+        assert outcome.state == "fault"
+        assert "CW" in outcome.reason
+        assert "3000" in outcome.reason
+        reading = await driver.poll()
+        assert reading.axes["x"].limit == "forward"
+        _, _, outcome = await world.move(driver, 0)
+        assert outcome.state == "done"
+        assert (await driver.poll()).axes["x"].limit == "none"
+
+    run(main, simulate={"travel_steps": [-3000, 3000]})
+
+
+def test_a_held_stop_input_ends_the_move_for_good() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 5000)
+        await driver.verify()
+        await driver.go()
+        await driver.started()
+        await world.sleep(300)
+        unit.set_input(4, True)
+        outcome = await driver.outcome()
+        assert outcome.state == "fault"
+        assert "Stop input" in outcome.reason
+        unit.set_input(4, False)
+        await world.sleep(3000)
+        assert unit.at_rest()
+        assert unit.position("1") < 5000
+        assert (await driver.poll()).axes["x"].lost
+
+    run(main)
+
+
+def test_a_kill_in_motion_loses_the_place_and_a_ramp_does_not() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        for abort in (False, True):
+            await world.arm(driver, 20_000)
+            await driver.verify()
+            await driver.go()
+            await driver.started()
+            await world.sleep(400)
+            await driver.stop(abort)
+            assert (await driver.outcome()).state == "stopped"
+            assert unit.at_rest()
+            assert (await driver.poll()).axes["x"].lost is abort
+
+    run(main, (3,))
+
+
+@pytest.mark.parametrize("understood", [True, False])
+def test_the_unit_at_address_3_stops_whether_it_understands_z_or_not(understood: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+
+        def deaf(data: bytes) -> bytes:
+            return data.replace(framed("3Z"), b"3Z#\r")
+
+        await world.arm(driver, 20_000)
+        await driver.verify()
+        await driver.go()
+        await driver.started()
+        await world.sleep(400)
+        if not understood:
+            world.wire.to_far = deaf
+        await driver.stop(False)
+        await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
+        assert unit.at_rest()
+        assert (await driver.outcome()).state == "stopped"
+        assert (await driver.poll()).axes["x"].lost is not understood
+
+    run(main, (3,))
+
+
+def test_the_counters_end_is_a_fault_until_it_is_cleared() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await driver.raw("f+8388000")
+        await driver.raw("+1000")
+        await world.sleep(5000)
+        reading = await driver.poll()
+        assert [fault.code for fault in reading.faults] == ["counter-overflow"]
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(driver, 0)
+        assert caught.value.refusal.code == "counter-overflow"
+        await driver.disarm()
+        await driver.clear_faults()
+        reading = await driver.poll()
+        assert not reading.faults
+        assert reading.axes["x"].lost
+        assert unit.at_rest()
+
+    run(main)
+
+
+def test_stop_bytes_stop_all_units_of_the_line_whatever_was_half_typed() -> None:
+    async def main(world: World) -> None:
+        link = await world.wire.open()
+        for address in range(1, 8):
+            link.write(framed(f"{address}T500") + framed(f"{address}+9000"))
+        await world.sleep(500)
+        assert all(unit.moving("1") for unit in world.units.values())
+        link.write(b"4+12")
+        link.write(MAKE.stop_bytes(config(5)))
+        await world.sleep(800)
+        assert not any(unit.moving("1") for unit in world.units.values())
+
+    run(main, range(1, 8))
+
+
+def test_a_bus_is_stopped_first_by_its_own_line() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 20_000)
+        await driver.go()
+        await driver.started()
+        await world.sleep(200)
+        await driver.close()
+        assert await driver.stop_first()
+        await world.sleep(1000)
+        assert unit.at_rest()
+        assert unit.position("1") < 20_000
+
+    run(main, (1, 2))
+
+
+def test_a_starting_line_that_is_lost_is_known_at_once() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        _, t0_ns = await world.arm(driver, 2000)
+        await driver.verify()
+        await driver.go()
+        world.wire.to_far = lambda data: b"" if data == framed("E") else data
+        with pytest.raises(DriverFault) as caught:
+            await driver.started()
+        assert caught.value.fault.code == "not-started"
+        await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
+        assert not unit.motions
+        await driver.disarm()
+
+    run(main)
+
+
+def test_an_answer_to_the_starting_line_that_is_lost_stops_nothing() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.arm(driver, 2000)
+        await driver.verify()
+        await driver.go()
+        world.wire.to_near = lambda data: b"\xff\xff\r" if data == framed("Y") else data
+        span = (await driver.started())["x"]
+        assert (await driver.outcome()).state == "done"
+        assert span.earliest_ns <= unit.motions[0].start_ns <= span.latest_ns
+
+    run(main)
+
+
+def test_two_steps_of_one_line_at_one_instant_are_refused() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        one, two = world.drivers[1], world.drivers[2]
+        lowered, t0_ns = await world.arm(one, 2000)
+        second = two.lower(await world.plan(two, 500), HOST, None)
+        # Its slot is the one after; ten milliseconds earlier it is the same.
+        await two.arm(second, t0_ns - 10 * NS_PER_MS, None)
+        await one.go()
+        with pytest.raises(CannotDo) as caught:
+            await two.go()
+        assert caught.value.refusal.code == "line-busy"
+        assert lowered.lead_ns - second.lead_ns == 10 * NS_PER_MS
+
+    run(main, (1, 2))
