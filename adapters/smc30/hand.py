@@ -14,7 +14,7 @@ from adapters.smc30.options import Options
 from adapters.smc30.session import Busy
 from adapters.smc30.unitaxis import POSITION_MAX, RAMP_MAX, TOP_MIN, Bounds, bounds, homing_rate, only_axis
 from adapters.smc30.unitstate import UnitState
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Axis, Controller
 
@@ -60,6 +60,8 @@ class Hand:
         self._busy = busy
         self._wanted: JogMove | None = None
         self.run: Run | None = None
+        self.began_ns = 0
+        """When the motion of `run` began, about."""
 
     # Jogging
 
@@ -90,7 +92,8 @@ class Hand:
             await unit.load(wanted.program, since)
             self._require_free()
             self.run, self._wanted = wanted, move
-            await unit.run(since, "jog")
+            answer = await unit.run(since, "jog")
+            self.began_ns = answer.at_ns + len(wanted.program) * self._options.line_us * NS_PER_US
             unit.limit = "none"
 
     def _require_free(self) -> None:

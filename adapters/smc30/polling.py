@@ -24,7 +24,6 @@ class Poller:
         self._unit = unit
         self._mover = mover
         self._hand = hand
-        self._began_ns: int | None = None
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
@@ -62,7 +61,6 @@ class Poller:
     def _settled(self) -> None:
         """At rest: a jog that was on its way has ended."""
         unit, run = self._unit, self._hand.run
-        self._began_ns = None
         if unit.doing == "jog":
             unit.doing = "nothing"
             if run is not None and unit.session.stops == run.stops and unit.rest_counts != run.end:
@@ -74,11 +72,9 @@ class Poller:
         if unit.doing == "step" and move is not None:
             counts, velocity, moving = _on_its_way(move, at_ns)
         elif unit.doing == "jog" and self._hand.run is not None:
-            if self._began_ns is None:
-                self._began_ns = at_ns
             run = self._hand.run
             shape = Shape((Ramp(abs(run.end - run.begin), run.s, run.t, run.r),))
-            steps, rate = shape.at((at_ns - self._began_ns) / NS_PER_S)
+            steps, rate = shape.at((at_ns - self._hand.began_ns) / NS_PER_S)
             counts, velocity = run.begin + run.sign * round(steps), run.sign * rate
         if unit.live is not False and moving:
             try:
