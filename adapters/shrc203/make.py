@@ -32,6 +32,10 @@ class Shrc203:
         return ShrcDriver(setup, options)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """End what is half-typed; stop all, then each axis, because the first is refused where a motor is off."""
+        """End what is half-typed; stop all, then each axis, because the first is refused where a motor is off.
+
+        A move may wait for an input: it is overwritten first, because what `L:` makes of a standby is not said (L2955).
+        """
         motors = sorted(fleetaxes.motors(config).values())
-        return "".join(f"{line}\r\n" for line in ("", "L:W", *(f"L:{motor}" for motor in motors))).encode()
+        waiting = [f"MP:{motor}+P0" for motor in motors] if config.inputs else []
+        return "".join(f"{line}\r\n" for line in ("", *waiting, "L:W", *(f"L:{motor}" for motor in motors))).encode()

@@ -327,7 +327,7 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
         await bench.start({"x": 20_000})
         await bench.driver.started()
         outcome = await bench.driver.outcome()
-        assert outcome.state == "fault" and "does not come to rest" in outcome.reason
+        assert outcome.state == "fault" and "does not settle" in outcome.reason
 
     run(case, simulate={"scales": True, "settle_ms": 10_000}, options={"loop": "closed"})
 

@@ -9,6 +9,7 @@ import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
 from adapters.contract import CannotDo, DriverFault, Outcome, Span
+from adapters.shrc203 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.messages import LineDrive, LineWait, StartWay
 from orchestrator.plan.step import AxisMove, plan_step
@@ -275,6 +276,27 @@ def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartWay, name
         with pytest.raises(CannotDo) as caught:
             await armed(bench, {"x": 5000}, how)
         assert caught.value.refusal.code == "start-class" and named in caught.value.refusal.text
+
+    run(case, config=CONFIG)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_a_guardians_stop_ends_what_waits_and_what_moves(waits: bool) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        how = StartWay(wait=WINDOW) if waits else StartWay()
+        t0_ns, _ = await released(bench, {"x": 90_000, "y": -500}, how)
+        if not waits:
+            await sleep_until_ns(bench.clock, t0_ns + 300 * NS_PER_MS)
+        link = await bench.wire.open()  # the host is dead
+        link.write(MAKE.stop_bytes(CONFIG))
+        await sleep_ns(bench.clock, 100 * NS_PER_MS)
+        bench.unit.set_input(2, True)
+        await sleep_ns(bench.clock, NS_PER_S)
+        await link.close()
+        assert bench.unit.at_rest()
+        assert [each.axis for each in bench.moved()] == ([] if waits else ["1", "2"])
+        assert waits or bench.unit.position("1") < 90_000
 
     run(case, config=CONFIG)
 
