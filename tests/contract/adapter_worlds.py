@@ -81,6 +81,13 @@ STEPS = {
 }
 SMC30_LINK = {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"}
 SMC30_ENDS = {"travel_steps": [-20_000, 200_000]}
+PULSES = {
+    "unit": "counts",
+    "limits": {"velocity": 80_000, "acceleration": 400_000},
+    "start_rate": {"min": 100, "max": 4000},
+    "homing": {"speed": 20_000},
+}
+ORG = {"axes": 2, "hardware": ["io_port"], "org_steps": {"1": [-9000, -2000], "2": [-9000, -1500]}}
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
@@ -132,6 +139,9 @@ CASES = {
     "smc30, seven on a bus with checksum": replace(
         case("smc30", {**SMC30_LINK, "unit": 3}, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": True}, "serial"),
         beside=(1, 2, 4, 5, 6, 7),
+    ),
+    "ppsmc on TCP": case(
+        "ppsmc", TCP, {"u": "1", "v": "2"}, PULSES, ORG, "tcp", decode_us=750, decode_spread_us=250, io_port=True
     ),
 }
 

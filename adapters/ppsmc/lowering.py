@@ -1,0 +1,170 @@
+"""Profiles to speeds and ramps of the SMC: targets in its buffer started by one `tbg`, or one program line."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+from adapters.contract import CannotDo, Lowered, require_how
+from adapters.ppsmc.costs import costs
+from adapters.ppsmc.fleetaxes import bounds, motor
+from adapters.ppsmc.lines import Drive, Wait, driven, edge_terms, starting_terms, waited_for, waiting_terms
+from adapters.ppsmc.options import Options
+from adapters.ppsmc.trapezoid import POSITION_MAX, Trapezoid, fit
+from orchestrator.model.fleet import Axis, Controller
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+
+_WHY_NOT = {
+    "line": "the i/o port is an option of the unit, and `options.io_port` is not set; or no input was named",
+    "clock": "the SMC has no readable clock to start by",
+}
+# A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
+_SHORT_ROOM = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMove:
+    """One axis's part. distance: steps, with its sign. shape is None for an axis that stays."""
+
+    name: str
+    motor: int
+    start_counts: int
+    distance: int
+    shape: Trapezoid | None
+
+    @property
+    def end_counts(self) -> int:
+        return self.start_counts + self.distance
+
+
+@dataclass(frozen=True, slots=True)
+class SmcLowered(Lowered):
+    """What `arm` needs: the moves, and the lines by wire."""
+
+    moves: tuple[AxisMove, ...] = ()
+    wait: Wait | None = None
+    drive: Drive | None = None
+
+    @property
+    def window_ns(self) -> tuple[int, int]:
+        """The start about T0, by all terms together."""
+        return sum(each.earliest_ns for each in self.terms), sum(each.latest_ns for each in self.terms)
+
+    @property
+    def by_program(self) -> bool:
+        """Whether a program line moves the axes, and not the target buffer: i/o goes before positioning in it."""
+        return bool(self.moves) and (self.wait is not None or self.drive is not None)
+
+
+def lower(
+    config: Controller, options: Options, char_ns: int, installed: int, profiles: Mapping[str, Profile], how: StartWay
+) -> SmcLowered:
+    """Lower all axes of a step. installed: axes of the unit. Raises `CannotDo`."""
+    if how.wait is not None and options.io_port:
+        require_how(how, ("host", "line"), "")
+    else:
+        require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
+    wait = None if how.wait is None else waited_for(config, how.wait)
+    drive = None if how.drive is None else driven(config, how.drive)
+    moves = sorted(
+        (_move(name, config.axes[name], each, options) for name, each in profiles.items()), key=lambda each: each.motor
+    )
+    running = tuple(each for each in moves if each.shape is not None)
+    rate = 1 + options.rate_ppm * 1e-6
+    ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
+    return SmcLowered(
+        start_class="host" if wait is None else "line",
+        durations_s={each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves},
+        path_error_counts={each.name: path_error(profiles[each.name], each, rate) for each in moves},
+        terms=starting_terms(options, drive is not None) if wait is None else waiting_terms(options, wait),
+        tick_ns=0.0,
+        costs=costs(options, char_ns, installed, ramps_s),
+        commands=_shown(running, wait, drive),
+        edge=() if drive is None else edge_terms(options),
+        moves=running,
+        wait=wait,
+        drive=drive,
+    )
+
+
+def _shown(running: tuple[AxisMove, ...], wait: Wait | None, drive: Drive | None) -> tuple[str, ...]:
+    """What is sent, for people; targets in steps."""
+    if not running:
+        return () if drive is None else (f"dout with bit {drive.bit} {'on' if drive.active else 'off'}",)
+    shapes = [(each, each.shape) for each in running if each.shape is not None]
+    if wait is None and drive is None:
+        profile = [f"frun{e.motor}:{s.s} ffast{e.motor}:{s.f} acc{e.motor}:{s.a} dec{e.motor}:{s.d}" for e, s in shapes]
+        return (*profile, "tbc", *(f"tbs{e.motor}:a ({e.end_counts} steps)" for e, _ in shapes), "tbg")
+    first = wait.command if wait is not None else drive.command if drive is not None else ""
+    moving = [f"{e.motor}:a ({e.end_counts} steps) s{s.s}r{s.f}a{s.a}d{s.d}" for e, s in shapes]
+    return (first, *moving, "nl", "end", "start:")
+
+
+def _move(name: str, axis: Axis, profile: Profile, options: Options) -> AxisMove:
+    if any(profile.jerks):
+        raise CannotDo("jerk", f"axis {name}: the SMC can not limit jerk", "leave `jerk` out of the axis's limits")
+    distance = profile.end_counts - profile.start_counts
+    if distance == 0:
+        return AxisMove(name, motor(axis), profile.start_counts, 0, None)
+    if max(abs(profile.end_counts), abs(profile.start_counts)) > POSITION_MAX:
+        raise CannotDo(
+            "too-far",
+            f"axis {name}: a move to {profile.end_counts} steps is beyond the counter's {POSITION_MAX}",
+            "move less far, or give the place another coordinate at the unit",
+        )
+    limits, wanted_s = bounds(axis), profile.duration_s * (1 + options.rate_ppm * 1e-6)
+    shape = fit(abs(distance), wanted_s, profile.peak_acceleration, limits)
+    if shape is None:
+        raise CannotDo(
+            "start-rate",
+            f"axis {name}: no start speed from {limits.start_min} to {limits.start_max} Hz is below its speed limit",
+            "correct `start_rate`",
+        )
+    # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
+    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+        raise CannotDo(
+            "too-slow",
+            f"axis {name}: {abs(distance)} steps in {wanted_s:.6g} s is slower than the unit can; the nearest that it "
+            f"can take, with whole speeds in Hz and ramps of at least 1 Hz/ms, is {shape.duration_s:.6g} s",
+            f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
+        )
+    return AxisMove(name, motor(axis), profile.start_counts, distance, shape)
+
+
+def path_error(profile: Profile, move: AxisMove, rate: float) -> float:
+    """The largest distance between what is executed and the plan, from a common start, in steps.
+
+    Both are parabolas between their knots, so their difference is one too, and its extremes are at knots or at its
+    vertices. One step more, because the unit goes in whole ones. rate: of the unit's crystal against the host's.
+    """
+    if move.shape is None:
+        return 0.0
+    sign = 1 if move.distance > 0 else -1
+    executed: list[tuple[float, float, float, float]] = []
+    clock_s = position = 0.0
+    for leg in move.shape.legs:
+        executed.append((clock_s, position, leg.speed * rate, leg.acceleration * rate * rate))
+        clock_s += leg.duration_s / rate
+        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
+    executed.append((clock_s, float(abs(move.distance)), 0.0, 0.0))
+    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
+    planned.append((profile.duration_s, float(move.distance), 0.0, 0.0))
+    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
+    worst = 0.0
+    for begin_s, end_s in pairwise(knots):
+        mid_s = (begin_s + end_s) / 2
+        mine = max((each for each in executed if each[0] <= mid_s), key=lambda each: each[0])
+        plan = max((each for each in planned if each[0] <= mid_s), key=lambda each: each[0])
+        a = sign * mine[3] - plan[3]
+        v = sign * (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
+        x = sign * _at(mine, begin_s) - _at(plan, begin_s)
+        instants = [0.0, end_s - begin_s]
+        if a and 0.0 < -v / a < end_s - begin_s:
+            instants.append(-v / a)
+        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
+    return worst + 1.0
+
+
+def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
+    t = time_s - piece[0]
+    return piece[1] + t * (piece[2] + t * piece[3] / 2)
