@@ -118,7 +118,8 @@ class SmcDriver(Driver):
         unit.doing = "nothing"
         unit.enabled = self._enabled = True
         unit.program_error = unit.overflow = unit.lost = False
-        await startup.configure(unit, self._options, self._clock)
+        async with unit.loading:
+            await startup.configure(unit, self._options, self._clock)
 
     # A step
 
@@ -207,8 +208,9 @@ class SmcDriver(Driver):
         unit = self._connected()
         if not command.isascii() or not command.isprintable():
             raise CannotDo("raw-line", "a raw command is one line of printable ASCII", "send one line")
-        unit.program = None
-        return await unit.session.converse(command)
+        async with unit.loading:
+            unit.program = None
+            return await unit.session.converse(command)
 
     async def close(self) -> None:
         unit, self._unit = self._unit, None
@@ -233,9 +235,12 @@ class SmcDriver(Driver):
         return self._mover
 
     async def _tell(self, command: str) -> None:
-        session = self._connected().session
+        unit = self._connected()
+        session = unit.session
         try:
-            await session.tell(command)
+            async with unit.loading:
+                await unit.leave_programming()
+                await session.tell(command)
         except Busy:
             text = f"{session.name} executes a program, and takes no {command}"
             raise CannotDo("moving", text, "wait, or stop it") from None

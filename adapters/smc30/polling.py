@@ -34,12 +34,11 @@ class Poller:
         unit = self._unit
         now = await unit.status()
         kept = True
-        if not now.busy:
+        # In Programming Mode neither position nor inputs are told; it stands where it stood.
+        if not now.busy and not unit.loading.locked():
             try:
-                kept = await unit.holds_sentinel()
-                unit.rest_counts = await unit.position()
-                if self._points_named:
-                    self._inputs, self._outputs = await unit.points()
+                async with unit.loading:
+                    kept = await self._at_rest()
             except Busy:
                 now = await unit.status()
         if not now.busy:
@@ -57,6 +56,16 @@ class Poller:
             lost=unit.lost,
         )
         return axis, dict(self._inputs), dict(self._outputs), self._faults(), now.at_ns, kept
+
+    async def _at_rest(self) -> bool:
+        """Ask everything; whether the volatile memory was kept. Raises `Busy`."""
+        unit = self._unit
+        await unit.leave_programming()
+        kept = await unit.holds_sentinel()
+        unit.rest_counts = await unit.position()
+        if self._points_named:
+            self._inputs, self._outputs = await unit.points()
+        return kept
 
     def _settled(self) -> None:
         """At rest: a jog that was on its way has ended."""

@@ -53,11 +53,11 @@ class UnitState:
     overflow: bool = False
     program: tuple[str, ...] | None = None
     programming: bool = False
-    """It may be in Programming Mode: what was to take it out of it has not been answered."""
+    """It may have been left in Programming Mode: what was to take it out of it has not been answered."""
     live: bool | None = None
     doing: Doing = "nothing"
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
-    """Held by whoever changes the program."""
+    """Held by whoever changes the program, and by all whose commands would become a part of it."""
     _stopping: "set[asyncio.Task[None]]" = field(default_factory=lambda: set["asyncio.Task[None]"]())
 
     # Questions
@@ -65,10 +65,6 @@ class UnitState:
     async def status(self) -> Status:
         """F (L1818-L1827)."""
         answer = await self.session.ask("F", STATUS)
-        if self.programming and answer.text != "B":
-            with suppress(Busy):
-                await self.session.ask("PX", EITHER)
-            self.programming = False
         if answer.text == "E4":
             self.program_error = True
         elif answer.text == "E5":
@@ -90,11 +86,19 @@ class UnitState:
         """Whether the volatile memory is the one that was loaded. Raises `Busy`."""
         return int(_group(await self.session.ask(f"VR{SENTINEL_REGISTER}", REGISTER))) == SENTINEL
 
+    async def leave_programming(self) -> None:
+        """PX, if an upload was broken off; for holders of `loading`."""
+        if self.programming:
+            with suppress(Busy):
+                await self.session.ask("PX", EITHER)
+            self.programming = False
+
     async def ready(self) -> int:
-        """Where it stands; `CannotDo` when it is busy or has a fault."""
+        """Where it stands; `CannotDo` when it is busy or has a fault. For holders of `loading`."""
         try:
             if (await self.status()).busy:
                 raise Busy("F")
+            await self.leave_programming()
             found = await self.position()
         except Busy:
             raise CannotDo("moving", f"{self.session.name} executes a program", "wait, or stop it") from None
