@@ -120,12 +120,12 @@ def _move(name: str, axis: Axis, profile: Profile, options: Options) -> AxisMove
             f"axis {name}: no start speed from {limits.start_min} to {limits.start_max} Hz is below its speed limit",
             "correct `start_rate`",
         )
-    # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
+    # The unit's slowest is its lowest start speed: what would have to be slower is refused, what needs longer answered.
     if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
         raise CannotDo(
             "too-slow",
-            f"axis {name}: {abs(distance)} steps in {wanted_s:.6g} s is slower than the unit can; the nearest that it "
-            f"can take, with whole speeds in Hz and ramps of at least 1 Hz/ms, is {shape.duration_s:.6g} s",
+            f"axis {name}: {abs(distance)} steps in {wanted_s:.6g} s is slower than the unit can; the longest that it "
+            f"can take with its start speeds is {shape.duration_s:.6g} s",
             f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
         )
     return AxisMove(name, motor(axis), profile.start_counts, distance, shape)

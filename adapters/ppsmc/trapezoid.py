@@ -18,6 +18,7 @@ _HZ_PER_S = 1000.0  # of one Hz/ms
 _GOOD_ENOUGH_S = 5e-6
 _RAMP_REACH = 6  # how far from the planned ramps others are looked for, Hz/ms
 _SPEEDS = 5
+_SHORT_S = 0.001
 _GENTLE_SPEEDS = 12
 _STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377, 610, 987)  # ramps to combine others with, Hz/ms
 _STOP_S = 2.0  # ramps are no longer than this where the axis's limits allow it: they are what a stop takes
@@ -93,8 +94,9 @@ class Bounds:
 def fit(distance: int, duration_s: float, acceleration: float, bounds: Bounds) -> Trapezoid | None:
     """The trapezoid within `bounds` whose duration is nearest to `duration_s`, with ramps near `acceleration`.
 
-    S and V are chosen together for each pair of ramps; the start speed is the vernier of the duration. None when no
-    speed that is allowed moves the axis at all.
+    Where that would be too short by more than a millisecond, the next longer one: all others can wait for it. S and V
+    are chosen together for each pair of ramps; the start speed is the vernier of the duration. None when no speed that
+    is allowed moves the axis at all.
     """
     fastest = floor(bounds.speed)
     lowest, highest = max(1, bounds.start_min), min(bounds.start_max, fastest)
@@ -110,7 +112,10 @@ def fit(distance: int, duration_s: float, acceleration: float, bounds: Bounds) -
         search.gentle()
     search.steady()
     search.limited()
-    return search.best
+    best, longer = search.best, search.longer
+    if best is not None and longer is not None and best.duration_s < duration_s - _SHORT_S:
+        return longer
+    return best
 
 
 class _Search:
@@ -127,6 +132,8 @@ class _Search:
         self._ramp_max = ramp_max
         self.best: Trapezoid | None = None
         self.error_s = float("inf")
+        self.longer: Trapezoid | None = None
+        self._longer_s = float("inf")
 
     def ramps(self, a: int, d: int) -> None:
         """Candidates with these ramps: trapezoids where the move is long enough for one, triangles otherwise."""
@@ -149,7 +156,7 @@ class _Search:
         slowest = floor(n / t) + 1
         for f in range(slowest, min(self._fastest, slowest + _GENTLE_SPEEDS) + 1):
             for s in {self._lowest, (self._lowest + min(self._highest, f)) // 2}:
-                if s >= f:
+                if s >= f or t * f - n <= 1e-9 * n:
                     continue
                 k = (t * f - n) / (f - s) ** 2
                 same = 1 / (k * _HZ_PER_S)
@@ -206,6 +213,8 @@ class _Search:
         error_s = abs(candidate.duration_s - self._duration_s)
         if error_s < self.error_s - _GOOD_ENOUGH_S / 2:
             self.best, self.error_s = candidate, error_s
+        if self._duration_s <= candidate.duration_s < self._longer_s:
+            self.longer, self._longer_s = candidate, candidate.duration_s
 
 
 def _spread(low: int, high: int) -> Iterator[int]:

@@ -19,6 +19,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.lab.bench_lowering_ppsmc import bench_ppsmc
 from orchestrator.lab.bench_lowering_smc30 import bench_smc30
 from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
@@ -97,7 +98,7 @@ SUBJECTS = {
 }
 
 
-OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {"smc30": bench_smc30}
+OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {"smc30": bench_smc30, "ppsmc": bench_ppsmc}
 """Makes with a benchmark of their own, by number of moves and seed."""
 MAKES = (*SUBJECTS, *OTHERS)
 
