@@ -15,7 +15,7 @@ from math import ceil
 from adapters.contract import CannotDo
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
-from adapters.shrc203.replies import DONE, READY, REFUSALS, STATUS, AxisStatus, status
+from adapters.shrc203.replies import COMMAND, DONE, READY, REFUSALS, STATUS, AxisStatus, amounts, entries, status
 from adapters.shrc203.session import Line
 from adapters.shrc203.standby import COMPLETION_LATE_NS
 from adapters.shrc203.status import ERRORS, why_stopped
@@ -223,6 +223,41 @@ class Chain:
             thread.command = thread.line()
             thread.load = self._unit.session.send(thread.command, DONE)
             thread.load.add_done_callback(lambda _: self._go_on(thread))
+            self._read_back(thread)
+
+    def _read_back(self, thread: _Thread) -> None:
+        """Ask what the unit holds of the last loads; the answer is there before the moves begin, or soon after.
+
+        One axis: the whole line. Several: the distances, once the last of them is loaded, for which there is time."""
+        if len(self._threads) == 1:
+            self._unit.session.send("?:CMD", COMMAND).add_done_callback(
+                lambda heard: self._compare_line(heard, thread.name, thread.command)
+            )
+        elif all(each.load is None or _answered(each.load) for each in self._threads.values() if each is not thread):
+            meant = {number: each.moves[each.loaded - 1].distance for number, each in self._threads.items()}
+            self._unit.session.send("?:MPW", amounts(len(self._unit.controllable))).add_done_callback(
+                lambda heard: self._compare_distances(heard, meant)
+            )
+
+    def _compare_line(self, heard: "asyncio.Future[Line]", name: str, command: str) -> None:
+        if _told(heard) and heard.result().text.upper() != command:
+            self._halt(f"axis {name}: sent {command!r}, the unit has understood {heard.result().text!r}")
+
+    def _compare_distances(self, heard: "asyncio.Future[Line]", meant: Mapping[int, int]) -> None:
+        """What has begun already, and left the prebuffer, is judged by where the axis comes to rest."""
+        if not _told(heard):
+            return
+        found = dict(zip(self._unit.controllable, entries(heard.result().text), strict=True))
+        for number, distance in meant.items():
+            if found[number] not in (None, distance):
+                self._halt(
+                    f"axis {self._threads[number].name}: {found[number]} pulses are loaded instead of {distance}"
+                )
+
+    def _halt(self, reason: str) -> None:
+        self._break(reason)
+        self._unit.brake(self._threads)
+        self._unit.session.changed.set()
 
     def _go_on(self, thread: _Thread) -> None:
         """Load the next move when the prebuffer is free. That takes a completion line, and that the last load was taken
@@ -341,6 +376,11 @@ class Chain:
 
 def _answered(load: "asyncio.Future[Line]") -> bool:
     return load.done() and load.exception() is None
+
+
+def _told(query: "asyncio.Future[Line]") -> bool:
+    """Whether there is an answer; a query that was garbled on its way is refused."""
+    return _answered(query) and query.result().text not in REFUSALS
 
 
 def check(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -> None:

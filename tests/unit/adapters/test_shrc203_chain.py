@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo
+from adapters.contract import CannotDo, DriverFault
 from adapters.shrc203.chain import ChainMove, ChainReport
 from adapters.shrc203.fleetaxes import bounds
 from adapters.shrc203.trapezoid import Trapezoid, fit
@@ -208,3 +208,59 @@ def test_a_chain_beyond_the_limits_is_refused_before_it_begins(move: ChainMove, 
         assert not bench.moved()
 
     run(case, config=config)
+
+
+@pytest.mark.parametrize("axes", ["x", "xyz"])
+@pytest.mark.parametrize("nth", range(1, 5))
+def test_a_garbled_load_is_found_and_the_chain_ends(nth: int, axes: str) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        moves = {axis: [ChainMove(300, Trapezoid(300, 1000, 20_000, 45))] * 8 for axis in axes}
+        left = nth
+
+        def garble(data: bytes) -> bytes:
+            nonlocal left
+            left -= data.startswith(b"MP:1")
+            return data.replace(b"P300", b"P900") if left == 0 and data.startswith(b"MP:1") else data
+
+        bench.wire.to_far = garble
+        if nth == 1:
+            with pytest.raises(CannotDo) as caught:
+                await bench.driver.run_chain(moves)
+            assert caught.value.refusal.code == "load-garbled" and not bench.moved()
+            return
+        report = await bench.driver.run_chain(moves)
+        bench.wire.to_far = None
+        assert "900" in report.reason and report.done["x"] < 8
+        assert not [each for each in made(bench, "x") if (each.end_counts or 0) - each.start_counts > 400]
+
+    run(case, config=CONFIG)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_on_a_noisy_line_a_chain_says_where_it_broke_or_has_made_every_move(seed: int) -> None:
+    async def case(bench: Bench) -> None:
+        draw = Random(seed)
+        await bench.ready()
+        moves = {axis: chain_of(draw, 20, 0.05) for axis in "xy"}
+
+        def garble(data: bytes) -> bytes:
+            return bytes(draw.randrange(256) if draw.random() < 0.002 else each for each in data)
+
+        bench.wire.to_far = bench.wire.to_near = garble
+        try:
+            reason = (await bench.driver.run_chain(moves)).reason
+        except (CannotDo, DriverFault) as error:
+            reason = str(error)
+        bench.wire.to_far = bench.wire.to_near = None
+        await sleep_ns(bench.clock, 3 * NS_PER_S)
+        if not reason:
+            executed_once(bench, moves)
+        assert bench.unit.at_rest()
+        await bench.driver.disarm()
+        before = len(bench.unit.motions)
+        await bench.driver.raw("G")
+        await sleep_ns(bench.clock, NS_PER_S)
+        assert not [each for each in bench.unit.motions[before:] if each.end_counts != each.start_counts]
+
+    run(case, config=CONFIG)
