@@ -6,6 +6,7 @@ from adapters.contract import (
     CannotDo,
     Capabilities,
     Driver,
+    DriverFault,
     Identity,
     JogMove,
     Lowered,
@@ -66,6 +67,12 @@ class SmcDriver(Driver):
     # Meeting the unit
 
     async def connect(self) -> Identity:
+        if self._line.with_checksum != self._options.checksum:
+            raise DriverFault(
+                "config-mismatch",
+                f"{self._setup.config.link.place}: the units of one line do not agree on option `checksum`",
+                "give all of them the same, and set their switches CHS accordingly",
+            )
         await self._line.attach(self._address, self._setup.open_link, self._char_ns)
         session = Session(self._line, self._clock, self._address, self._options.checksum)
         unit = self._unit = UnitState(session, self._clock, enabled=self._enabled, lost=self._lost)

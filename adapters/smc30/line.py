@@ -64,6 +64,7 @@ class Line:
 
     def __init__(self, clock: Clock, with_checksum: bool, answer_ns: int) -> None:
         self.units: set[int | None] = set()
+        self.with_checksum = with_checksum
         self.stops = 0
         self._clock = clock
         self._answer_ns = answer_ns

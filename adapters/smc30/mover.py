@@ -28,6 +28,8 @@ class Move:
     started: Span | None = None
     running: bool = False
     """Its program has been set going."""
+    followed: bool = False
+    """Somebody waits for its start or its end."""
     stopped_ns: int | None = None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -47,7 +49,7 @@ class Mover:
 
     async def arm(self, lowered: SmcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load the program and read it back; one that waits for a line begins to wait. Raises `CannotDo`."""
-        if self.move is not None or self._unit.doing != "nothing":
+        if self.move is not None or self._unit.doing == "home":
             raise CannotDo("busy", "a motion is loaded or under way", "disarm or stop it")
         move = self.move = Move(lowered, t0_ns)
         try:
@@ -141,7 +143,7 @@ class Mover:
         if move is None:
             return
         move.stopped_ns = at_ns
-        if self._taken_back(move) or not move.running:
+        if self._taken_back(move) or not move.running or not move.followed:
             self.move = None
             self._unit.doing = "nothing"
         move.changed.set()
@@ -160,6 +162,7 @@ class Mover:
     async def started(self) -> Mapping[str, Span]:
         """When the axis started; raises `DriverFault` when it did not."""
         move = self._require()
+        move.followed = True
         lowered = move.lowered
         if not lowered.program:
             return {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}

@@ -1,6 +1,6 @@
 """Options of the SMC30 in the fleet file."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -41,7 +41,4 @@ class Options(BaseModel):
     input_poll_us: Micro = Field(default=1000, description="Longest time between two looks at the inputs.")
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for a program or motion that it has found."
-    )
-    home_watch: Literal["end", "input3"] = Field(
-        default="end", description="What stops H: the end-of-travel input of its direction, or user input 3 low."
     )
