@@ -39,10 +39,14 @@ SETTLING = _form("0 to 2550", r"\d{1,4}")
 NOT_SET = _form("NS or a setting", r"NS|.+,.+")
 READY = _form("R or B", r"[RB]")
 STOPS = _form("X or K, how the axes have stopped, R or B", r"[XK],[123CDEWRK],[RB]")
-STATUS = _form(
-    "coordinates, status words and states",
-    r"(?:[PNUMD]?[+-]?\d+(?:\.0*)?,){1,3}(?:[0-9A-F]+,){1,3}[RBD](?:,[RBD]){0,2}",
-)
+
+
+def _status(axes: int) -> str:
+    """As many coordinates as status words as states: what has lost a comma is another reply."""
+    return ",".join(each for each in (r"[PNUMD]?[+-]?\d+(?:\.0*)?", "[0-9A-F]+", "[RBD]") for _ in range(axes))
+
+
+STATUS = _form("coordinates, status words and states", "|".join(_status(axes) for axes in (1, 2, 3)))
 
 
 def listed(pattern: str, count: int, words: str) -> Form:

@@ -419,3 +419,44 @@ def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
 
 def window(earliest_ns: int, latest_ns: int) -> LineWait:
     return WINDOW.model_copy(update={"earliest_ns": earliest_ns, "latest_ns": latest_ns})
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
+    """One byte in about 300 is garbled, both ways: steps may fail, but no axis goes anywhere else, or by itself."""
+
+    async def case(bench: Bench) -> None:
+        draw = Random(seed)
+        await bench.ready()
+
+        def garble(data: bytes) -> bytes:
+            return bytes(draw.randrange(256) if draw.random() < 0.003 else each for each in data)
+
+        allowed = {0}
+        for _ in range(8):
+            bench.unit.set_input(2, False)
+            targets = {name: draw.randrange(-20_000, 20_000) for name in draw.sample("xyz", 2)}
+            before, go = len(bench.moved()), False
+            bench.wire.to_far = bench.wire.to_near = garble
+            try:
+                t0_ns, _ = await armed(bench, targets, StartWay(wait=WINDOW))
+                await bench.driver.verify()
+                await bench.driver.go()
+                go = True
+                allowed |= set(targets.values())
+                raise_at(bench, t0_ns)
+                await followed(bench)
+            except (CannotDo, DriverFault):
+                bench.wire.to_far = bench.wire.to_near = None
+                await bench.driver.stop(False)
+                await bench.driver.disarm()
+            bench.wire.to_far = bench.wire.to_near = None
+            for level in (False, True):
+                bench.unit.set_input(2, level)
+                await sleep_ns(bench.clock, 2 * NS_PER_S)
+            assert go or len(bench.moved()) == before
+            assert bench.unit.at_rest()
+        ends = {each.end_counts for each in bench.moved()}
+        assert ends <= allowed or any(each.slowing_ns is not None for each in bench.moved())
+
+    run(case, seed=seed, config=CONFIG)

@@ -141,3 +141,9 @@ def test_status_lines_in_either_number_form(reply: str) -> None:
     assert STATUS.fits(reply)
     found = status(reply, (1, 2))
     assert (found[2].counts, found[2].word, found[2].busy) == (-12, 4, True) and 3 not in found
+
+
+@pytest.mark.parametrize("garbled", ["P+1P+2,P+3,1,1,1,R,R,R", "P+1,P+2,P+3,1,1,R,R,R", "P+1,P+2,1,1,1,R,R", "P+1,R"])
+def test_a_status_that_has_lost_a_comma_is_no_status(garbled: str) -> None:
+    assert STATUS.fits("P+1,P+2,P+3,1,1,1,R,R,R") and STATUS.fits("P+1,P-2,1,80001,R,B") and STATUS.fits("0,0,D")
+    assert not STATUS.fits(garbled)
