@@ -1,0 +1,138 @@
+"""Seven SMC30 of one bus in one step, stopped at any moment of it: one of them, or all."""
+
+import asyncio
+from collections.abc import Mapping
+
+import pytest
+from unit.adapters.test_smc30_bench import HOST, World, run, wait
+
+from adapters.contract import CannotDo, DriverFault, JogMove, Outcome
+from adapters.smc30.driver import SmcDriver
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
+
+ALL = range(1, 8)
+TARGET = 4000
+
+
+async def follow(driver: SmcDriver) -> Outcome | None:
+    """What a member does after its go; None: it has not started."""
+    try:
+        await driver.started()
+        return await driver.outcome()
+    except (DriverFault, CannotDo):
+        return None
+
+
+async def released(world: World) -> int:
+    """All armed, promised and released; T0."""
+    drivers = list(world.drivers.values())
+    lowered = [driver.lower(await world.plan(driver, TARGET), HOST, None) for driver in drivers]
+    t0_ns = world.t0(lowered[0])
+    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True)))
+    await asyncio.gather(*(driver.verify() for driver in drivers))
+    await asyncio.gather(*(driver.go() for driver in drivers))
+    return t0_ns
+
+
+async def followed(world: World, stopping: list[SmcDriver], at_ns: int, abort: bool) -> Mapping[int | None, Outcome]:
+    """Some are stopped at that instant; what has become of those that have started."""
+    following = {each: asyncio.get_running_loop().create_task(follow(driver)) for each, driver in world.drivers.items()}
+    await sleep_until_ns(world.clock, at_ns)
+    for driver in stopping:
+        await driver.stop(abort)
+    await world.sleep(world.one[0].capabilities.costs.stop_ns / NS_PER_MS)
+    for each, driver in world.drivers.items():
+        if driver in stopping:
+            assert world.units[each].at_rest(), each
+    ended = {each: await task for each, task in following.items()}
+    return {each: outcome for each, outcome in ended.items() if outcome is not None}
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("before_ms", [120, 90, 83, 78, 71, 64, 57, 49, 41, 33, 27, 19, 11, 5, 0, -3, -200])
+def test_all_stop_wherever_their_starting_lines_are(before_ms: int, abort: bool) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        t0_ns = await released(world)
+        outcomes = await followed(world, list(world.drivers.values()), t0_ns - before_ms * NS_PER_MS, abort)
+        assert all(outcome.state != "done" for outcome in outcomes.values())
+        rests = {each: unit.position("1") for each, unit in world.units.items()}
+        await world.sleep(3000)
+        assert rests == {each: unit.position("1") for each, unit in world.units.items()}
+        # Seven stops take 29 ms on the wire, and then some to be decoded.
+        if before_ms > 35:
+            assert set(rests.values()) == {0.0}
+        # Nothing is left over.
+        again = await released(world)
+        outcomes = await followed(world, [], again, abort)
+        assert {outcome.state for outcome in outcomes.values()} == {"done"}
+        assert len(outcomes) == len(ALL)
+
+    run(main, ALL, seed=before_ms + 300)
+
+
+@pytest.mark.parametrize("before_ms", [120, 83, 64, 41, 19, 5, 0, -200])
+@pytest.mark.parametrize("which", [1, 3, 7])
+def test_one_stops_and_nothing_wrong_is_said_of_the_others(before_ms: int, which: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        t0_ns = await released(world)
+        outcomes = await followed(world, [world.drivers[which]], t0_ns - before_ms * NS_PER_MS, False)
+        await world.sleep(3000)
+        for each, unit in world.units.items():
+            outcome = outcomes.get(each)
+            assert unit.at_rest()
+            if each == which:
+                assert outcome is None or outcome.state == "stopped"
+            elif outcome is not None and outcome.state == "done":
+                assert unit.position("1") == TARGET
+            # Whoever is said not to have started stands still, or was stopped for it.
+            elif outcome is None:
+                assert unit.position("1") < TARGET
+
+    run(main, ALL, seed=before_ms + 300)
+
+
+def test_seven_that_jog_are_stopped_together() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        await asyncio.gather(*(driver.jog("x", JogMove(3000.0, 25_000.0, None)) for driver in world.drivers.values()))
+        await world.sleep(20)
+        assert all(unit.moving("1") for unit in world.units.values())
+        began_ns = world.clock.now_ns()
+        for driver in world.drivers.values():
+            await driver.stop(False)
+        while any(unit.moving("1") for unit in world.units.values()):
+            await world.sleep(1)
+        # The lines of all, and the ramp.
+        assert world.clock.now_ns() - began_ns < 220 * NS_PER_MS
+        for driver in world.drivers.values():
+            assert not (await driver.poll()).axes["x"].lost
+
+    run(main, ALL)
+
+
+def test_a_line_starts_some_while_slots_start_the_others() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        ways = {each: wait() if (each or 0) % 2 else HOST for each in world.drivers}
+        lowered = {
+            each: driver.lower(await world.plan(driver, 500), ways[each], None)
+            for each, driver in world.drivers.items()
+        }
+        t0_ns = world.t0(lowered[1])
+        drivers = world.drivers
+        await asyncio.gather(*(driver.arm(lowered[each], t0_ns, None) for each, driver in drivers.items()))
+        await asyncio.gather(*(driver.verify() for driver in drivers.values()))
+        await asyncio.gather(*(driver.go() for driver in drivers.values()))
+        await sleep_until_ns(world.clock, t0_ns)
+        for unit in world.units.values():
+            unit.set_input(1, True)
+        started = await asyncio.gather(*(driver.started() for driver in drivers.values()))
+        for each, span in zip(drivers, started, strict=True):
+            assert span["x"].earliest_ns <= world.units[each].motions[0].start_ns <= span["x"].latest_ns
+        outcomes = await asyncio.gather(*(driver.outcome() for driver in drivers.values()))
+        assert {outcome.state for outcome in outcomes} == {"done"}
+        assert world.clock.now_ns() - t0_ns < 5 * NS_PER_S
+
+    run(main, ALL, {"input_poll_ms": 1.0})
