@@ -44,7 +44,8 @@ class Device:
         self._format: RecordFormat | None = None
         self._close_link = lambda: asyncio.sleep(0)
         # It outlives the links: only so can a power cycle be told from a broken cable.
-        self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S)
+        late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
+        self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S, late_ns)
         self._restarted = False
         self._must_reconnect = False
         # How many stops each axis has been given: what was on its way when one came must not begin a motion after it.

@@ -16,11 +16,11 @@ YOUNG = 64
 
 
 class SampleClock:
-    """Learns the counter from readings and notices when it was set back."""
+    """Learns the counter from readings and notices when it was set back. late_ns: see `TickEstimator`."""
 
-    def __init__(self, tick_ns: float) -> None:
+    def __init__(self, tick_ns: float, late_ns: int = 0) -> None:
         self.tick_ns = tick_ns
-        self._estimator = TickEstimator(tick_ns)
+        self._estimator = TickEstimator(tick_ns, late_ns)
         self._last: Sample | None = None
         self._whole_ns = 0
         self._mapping: TickMapping | None = None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from orchestrator.cli.bench_clocks import clock
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 if TYPE_CHECKING:
@@ -306,3 +307,6 @@ def _show_spreads(figures: "JogFigures | PermitFigures", as_json: bool) -> None:
         spans = (f"{ms:.1f}" for ms in (each.p50_ms, each.p99_ms, each.max_ms))
         table.add_row(words, str(each.n), *spans, each.asked, met)
     console.print(table)
+
+
+bench.add_command(clock)

@@ -1,19 +1,36 @@
-"""A controller's tick counter against its host's clock: regression over the best round trips, with an honest bound.
+"""A controller's tick counter against its host's clock: everything that its readings leave possible, and its middle.
 
-A sample says: the counter read `ticks` at some instant between `sent_ns` and `received_ns`, and the counter's
-value holds for a whole tick. Nothing narrower is ever claimed than what all samples allow together: about half the
-smallest round trip (asymmetry can not be seen) plus half a tick, less where the samples dither below the tick.
+A reading says: the counter was `ticks` at some instant between `sent_ns` and `received_ns`, and its value holds for a
+whole tick. So the instant at which it became `ticks` lies in (sent - tick, received]. A crystal has a rate that wanders
+slowly: seen from now it is a line, and each reading is a gate that the line goes through, wider the older the reading
+is by what a crystal may have wandered since. The lines that go through all gates are the estimate; their middle is the
+mapping, and the farthest of them its bound, which nothing that the model allows can exceed: slow answers, one-sided
+delays of a receiver, coarse ticks, wander. What no reading can show, an asymmetry of the fastest answers, lies inside.
+
+Least squares and the smallest round trip (Cristian, 1989) are what `tutti bench clock` measures this against: neither
+gives a bound, and bytes that a USB adapter holds back draw them aside.
 """
 
 import math
 from collections import deque
 from dataclasses import dataclass
 
-# A crystal's rate, fitted over a baseline of at least MIN_BASELINE_NS; before that the nominal one is taken.
+import numpy as np
+from numpy.typing import NDArray
+
 MAX_PPM = 100.0
-MIN_BASELINE_NS = 5_000_000_000
-KEPT = 256
-WANDER_PPM = 2.0  # how far a crystal's rate moves within the samples kept (0.05 ppm/sqrt(s) over some minutes)
+"""No crystal is further off its rate than this."""
+KEPT = 512
+WANDER_PPM = 0.05
+"""How a crystal's rate walks: standard deviation of its change in a second, ppm."""
+SURE = 6.0
+"""So many standard deviations are allowed for: five of them would be passed once in two million readings."""
+AHEAD_PPM = 1.0
+"""What the wander may add to a prediction, for half a minute: SURE * WANDER_PPM * sqrt(t / 3) ppm after t seconds."""
+_GRID = 48
+_ZOOMS = 3
+
+_Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +46,8 @@ class Sample:
 class TickMapping:
     """host_ns = host_at_ns + (ticks - ticks_at) * tick_ns: the host time at which the counter became `ticks`.
 
-    bound_ns: guaranteed error at `host_at_ns`; grows with `drift_ppm` from there.
+    bound_ns: guaranteed error at `host_at_ns`; grows with `drift_ppm` from there. residual_ns: how far the readings
+    are from the mapping on average.
     """
 
     ticks_at: int
@@ -56,10 +74,15 @@ class TickMapping:
 
 
 class TickEstimator:
-    """Learns a controller's clock from readings of its counter."""
+    """Learns a controller's clock from readings of its counter.
 
-    def __init__(self, nominal_tick_ns: float) -> None:
+    late_ns: the counter is usually read so much later than a reading's `sent_ns` allows, e.g. because a firmware
+    mostly takes longer than it may at the least. The mapping is moved by half of it; the bound does not believe it.
+    """
+
+    def __init__(self, nominal_tick_ns: float, late_ns: int = 0) -> None:
         self._nominal_tick_ns = nominal_tick_ns
+        self._late_ns = late_ns
         self._samples: deque[Sample] = deque(maxlen=KEPT)
 
     def add(self, sample: Sample) -> bool:
@@ -83,63 +106,102 @@ class TickEstimator:
         self._samples.clear()
 
     def mapping(self) -> TickMapping | None:
-        """The mapping that the readings give now, or None without any.
-
-        Each reading confines the instant at which the counter became `ticks` to (sent - tick, received]. Carried
-        to the newest reading at the fitted rate, and widened by what the rate may be off over its age, the
-        intervals have the truth in common; their intersection is the estimate and its guaranteed bound.
-        """
+        """The mapping that the readings give now, or None without any."""
         if not self._samples:
             return None
-        last = self._samples[-1]
-        min_rtt_ns = min(sample.received_ns - sample.sent_ns for sample in self._samples)
-        tick_ns, drift_ppm = self._rate(min_rtt_ns)
-        low_ns, high_ns = -math.inf, math.inf
-        for sample in self._samples:
-            carried_ns = (last.ticks - sample.ticks) * tick_ns
-            slack_ns = abs(last.sent_ns - sample.sent_ns) * drift_ppm * 1e-6
-            low_ns = max(low_ns, sample.sent_ns - last.sent_ns - tick_ns + carried_ns - slack_ns)
-            high_ns = min(high_ns, sample.received_ns - last.sent_ns + carried_ns + slack_ns)
-        if low_ns > high_ns:
-            # Outside the model (a delay before `sent`, a rate beyond its bound): what both ends say, none denied.
-            low_ns, high_ns = high_ns - tick_ns, low_ns + tick_ns
-        middle_ns = (low_ns + high_ns) / 2
-        centres = [
-            (s.sent_ns + s.received_ns - tick_ns) / 2 - last.sent_ns + (last.ticks - s.ticks) * tick_ns
-            for s in self._samples
-        ]
+        last, nominal = self._samples[-1], self._nominal_tick_ns
+        gates = _Gates(list(self._samples), nominal)
+        lines = gates.lines()
+        if lines is None:
+            # Outside the model (a delay that nothing allows for, a crystal beyond MAX_PPM): the last reading alone.
+            gates = _Gates([last], nominal)
+            lines = gates.lines()
+            assert lines is not None
+        # Half the usual lateness is moved to, but never out of what is possible, nor out of the bound.
+        offset_ns = lines.offset_ns + min(self._late_ns / 2, lines.half_ns)
+        tick_ns = nominal * (1.0 + lines.rate)
         return TickMapping(
             ticks_at=last.ticks,
-            host_at_ns=last.sent_ns + round(middle_ns),
+            host_at_ns=last.sent_ns + round(offset_ns),
             tick_ns=tick_ns,
-            rate_ppm=(tick_ns / self._nominal_tick_ns - 1.0) * 1e6,
-            residual_ns=round(sum(abs(each - middle_ns) for each in centres) / len(centres)),
-            bound_ns=math.ceil((high_ns - low_ns) / 2) + 1,
-            drift_ppm=drift_ppm,
+            rate_ppm=lines.rate * 1e6,
+            residual_ns=round(gates.residual_ns(offset_ns, lines.rate)),
+            bound_ns=math.ceil(lines.bound_ns + abs(offset_ns - lines.offset_ns)) + 1,
+            drift_ppm=lines.rate_bound * 1e6 + AHEAD_PPM,
             samples=len(self._samples),
-            min_rtt_ns=min_rtt_ns,
+            min_rtt_ns=min(sample.received_ns - sample.sent_ns for sample in self._samples),
         )
 
-    def _rate(self, min_rtt_ns: int) -> tuple[float, float]:
-        """The tick in host ns, and how far it may be off, ppm: fitted over a long baseline, nominal before."""
-        nominal = self._nominal_tick_ns
-        short = [s for s in self._samples if s.received_ns - s.sent_ns <= 2 * min_rtt_ns]
-        baseline_ns = short[-1].sent_ns - short[0].sent_ns if short else 0
-        if len(short) < 8 or baseline_ns < MIN_BASELINE_NS:
-            return nominal, MAX_PPM
-        origin = short[0]
-        fitted = _slope([(s.ticks - origin.ticks, (s.sent_ns + s.received_ns) / 2 - origin.sent_ns) for s in short])
-        fitted_ppm = (fitted / nominal - 1.0) * 1e6
-        if abs(fitted_ppm) > MAX_PPM:
-            return nominal, MAX_PPM
-        # What the two ends of the baseline prove, if that is less than what any crystal keeps.
-        proven_ppm = 2 * (2 * min_rtt_ns + nominal) / baseline_ns * 1e6 + WANDER_PPM
-        return fitted, min(proven_ppm, MAX_PPM + abs(fitted_ppm))
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """What the possible lines have in common. offset_ns: of the middle one, when the counter became the last reading's
+    ticks, after that was sent. half_ns: how far an offset may be moved at its rate. bound_ns, rate_bound: how far any
+    possible line is off, in offset and rate."""
+
+    offset_ns: float
+    half_ns: float
+    bound_ns: float
+    rate: float
+    rate_bound: float
 
 
-def _slope(points: list[tuple[float, float]]) -> float:
-    """Least squares slope of y on x."""
-    n = len(points)
-    mean_x = sum(x for x, _ in points) / n
-    mean_y = sum(y for _, y in points) / n
-    return sum((x - mean_x) * (y - mean_y) for x, y in points) / sum((x - mean_x) ** 2 for x, _ in points)
+class _Gates:
+    """The readings, seen from the last one: ages in nominal ns of the counter (0 or less), gates in host ns."""
+
+    def __init__(self, samples: list[Sample], nominal_tick_ns: float) -> None:
+        last = samples[-1]
+        self._ages: _Floats = np.array([(each.ticks - last.ticks) * nominal_tick_ns for each in samples])
+        # How far a line may be off a reading of this age, by wander alone: the integral of a random walk.
+        wander_ns = SURE * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9
+        sent: _Floats = np.array([float(each.sent_ns - last.sent_ns) for each in samples])
+        received: _Floats = np.array([float(each.received_ns - last.sent_ns) for each in samples])
+        # The tick of a counter that runs slow is longer.
+        tick_ns = nominal_tick_ns * (1.0 + MAX_PPM * 1e-6)
+        self._low: _Floats = sent - self._ages - tick_ns - wander_ns
+        self._high: _Floats = received - self._ages + wander_ns
+
+    def lines(self) -> _Lines | None:
+        """All lines through the gates; None when there is none."""
+        rates = np.linspace(-MAX_PPM, MAX_PPM, _GRID) * 1e-6
+        best = 0.0
+        for _ in range(_ZOOMS):
+            low, high = self._gap(rates)
+            best = float(rates[np.argmax(high - low)])
+            step = float(rates[1] - rates[0])
+            rates = np.linspace(best - step, best + step, _GRID)
+        low, high = self._gap(np.array([best]))
+        if float(high[0]) < float(low[0]):
+            return None
+        slowest, fastest = self._edge(best, -MAX_PPM * 1e-6), self._edge(best, MAX_PPM * 1e-6)
+        rate = (slowest + fastest) / 2
+        rates = np.linspace(slowest, fastest, _GRID)
+        lows, highs = self._gap(rates)
+        low, high = self._gap(np.array([rate]))
+        middle, half = float(high[0] + low[0]) / 2, max(0.0, float(high[0] - low[0]) / 2)
+        # Between two rates of the grid a line may reach further, by as much as the oldest reading is away.
+        between = (fastest - slowest) / _GRID * float(np.abs(self._ages).max())
+        bound = max(float(highs.max()) - middle, middle - float(lows.min())) + between
+        return _Lines(middle, half, bound, rate, (fastest - slowest) / 2)
+
+    def residual_ns(self, offset_ns: float, rate: float) -> float:
+        """How far the middles of the readings are from a line, on average."""
+        middles = (self._low + self._high) / 2 - self._ages * rate
+        return float(np.abs(middles - offset_ns).mean())
+
+    def _gap(self, rates: _Floats) -> tuple[_Floats, _Floats]:
+        """For each rate, between which offsets a line goes through all gates."""
+        turned = np.outer(rates, self._ages)
+        return (self._low - turned).max(axis=1), (self._high - turned).min(axis=1)
+
+    def _edge(self, inside: float, outside: float) -> float:
+        """The last rate on the way from `inside` to `outside` at which a line goes through all gates."""
+        for _ in range(_ZOOMS):
+            rates = np.linspace(inside, outside, _GRID)
+            low, high = self._gap(rates)
+            possible = np.nonzero(high >= low)[0]
+            last = int(possible[-1]) if len(possible) else 0
+            if last == _GRID - 1:
+                return outside
+            inside, outside = float(rates[last]), float(rates[last + 1])
+        return outside
