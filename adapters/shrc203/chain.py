@@ -226,12 +226,13 @@ class Chain:
             self._read_back(thread)
 
     def _read_back(self, thread: _Thread) -> None:
-        """Ask what the unit holds of the last loads; the answer is there before the moves begin, or soon after.
-
-        One axis: the whole line. Several: the distances, once the last of them is loaded, for which there is time."""
-        if len(self._threads) == 1:
+        """Ask what the unit holds of the last loads, once the last of them is loaded; the answer is there before the
+        moves begin, or soon after. Distances only: a line with its speeds would take longer to tell than there is."""
+        if len(self._unit.controllable) == 1:
+            # There a distance of a few pulses would read like a completion line.
+            name, command = thread.name, thread.command  # of now: the next one may be loaded before the answer
             self._unit.session.send("?:CMD", COMMAND).add_done_callback(
-                lambda heard: self._compare_line(heard, thread.name, thread.command)
+                lambda heard: self._compare_line(heard, name, command)
             )
         elif all(each.load is None or _answered(each.load) for each in self._threads.values() if each is not thread):
             meant = {number: each.moves[each.loaded - 1].distance for number, each in self._threads.items()}

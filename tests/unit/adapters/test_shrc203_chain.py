@@ -179,6 +179,40 @@ def test_nothing_else_is_armed_or_jogged_while_a_chain_runs() -> None:
     run(case, config=CONFIG)
 
 
+@pytest.mark.parametrize("axes", ["x", "xyz"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_chain_that_is_read_all_the_while_makes_every_move(seed: int, axes: str) -> None:
+    async def case(bench: Bench) -> None:
+        draw = Random(seed)
+        await bench.ready()
+        moves = {
+            axis: [ChainMove(way, Trapezoid(way, 1000 - way, 1000, 2)) for way in draw.choices(range(12, 18), k=60)]
+            for axis in axes
+        }
+        task = bench.clock.loop.create_task(bench.driver.run_chain(moves))
+        while not task.done():
+            await bench.driver.poll()
+            await sleep_ns(bench.clock, draw.randrange(60) * NS_PER_MS)
+        report = await task
+        assert report.reason == ""
+        executed_once(bench, moves)
+
+    run(case, seed=seed, config=CONFIG)
+
+
+def test_a_unit_with_one_axis_chains_moves_of_a_few_pulses() -> None:
+    """There the answers to queries of distances would read like completion lines."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        moves = {"x": [ChainMove(way, Trapezoid(way, 30, 60, 2)) for way in (1, 2, 3, 1, 2, 3)]}
+        report = await bench.driver.run_chain(moves)
+        assert report.reason == ""
+        executed_once(bench, moves)
+
+    run(case, config=controller("x"), simulate={"controllable": [1]})
+
+
 @pytest.mark.parametrize(
     ("move", "code"),
     [
