@@ -24,7 +24,7 @@ from adapters.ppsmc.lowering import SmcLowered, lower
 from adapters.ppsmc.moves import Mover
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.polling import Poller
-from adapters.ppsmc.replies import ASK_OUTPUTS, ASK_STATUS, ASK_USER_STATUS
+from adapters.ppsmc.replies import ASK_OUTPUTS, ASK_STATUS
 from adapters.ppsmc.session import Session, refusal
 from adapters.ppsmc.stopper import Stopper
 from adapters.ppsmc.unitstate import UnitState
@@ -54,7 +54,7 @@ class PpSmcDriver(Driver):
         self._jogging: Jogging | None = None
         self._installed = max(fleetaxes.motors(setup.config).values())
         self._enabled: set[str] = set(setup.config.axes)
-        # Known beyond a connection: the token that the unit held last, and what was found before.
+        # Known beyond a connection: the token that the unit held last.
         self._token = 0
 
     # Meeting the unit
@@ -67,28 +67,16 @@ class PpSmcDriver(Driver):
         )
         stopper = Stopper(self._setup.open_link, self._config.link.kind == "tcp")
         unit = self._unit = UnitState(session, stopper, self._config, slow_ns, enabled=self._enabled)
-        restarted = await self._was_restarted(session)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _STOP_RAMP_NS
         self._mover = Mover(options, self._clock, self._setup.firer, unit, settle_ns)
-        self._poller = Poller(self._config, options, unit, restarted)
+        self._poller = Poller(self._config, options, unit)
         self._jogging = Jogging(self._config, self._clock, unit, self._mover)
         await stopper.open()
         identity = await startup.identify(unit)
         await startup.wait_idle(unit, self._clock, options)
         self._installed = max(self._installed, unit.installed)
         return identity
-
-    async def _was_restarted(self, session: Session) -> bool:
-        """Whether the unit has forgotten the token of an earlier connection: read before it gets a new one."""
-        if not self._token:
-            return False
-        try:
-            return (await session.ask_first(ASK_USER_STATUS)) == "0"
-        except DriverFault as error:
-            if error.fault.code != "blocked":
-                raise
-            return False
 
     async def configure(self) -> None:
         """A blocked unit answers nothing that could be compared: that is done as soon as it is released."""

@@ -158,7 +158,7 @@ def _speeds(axis: Axis) -> tuple[int, int, int, int]:
 async def _judged(unit: UnitState, search: _Search, look: Look, restarts: int) -> str:
     """What is wrong with a search whose axis is at rest; "" when it has found its reference."""
     motor, bits = search.motor, look.bits[search.motor]
-    if unit.restarts != restarts:
+    if unit.restarts != restarts or unit.session.restarted:
         return "the unit was restarted"
     if unit.stops_given(motor) != search.stops or look.blocked:
         return "it was stopped"

@@ -13,7 +13,6 @@ from adapters.ppsmc.replies import (
     ASK_OUTPUTS,
     ASK_POSITIONS,
     ASK_STATUS,
-    ASK_USER_STATUS,
     Bits,
     Query,
     entries,
@@ -29,12 +28,9 @@ LIMIT_ERROR = 1500
 
 
 class Poller:
-    """Reads the unit's state. A restart shows in the user status, which is 0 then (L3158).
+    """Reads the unit's state."""
 
-    restarted: one that was noticed in another way and is still to be told.
-    """
-
-    def __init__(self, config: Controller, options: Options, unit: UnitState, restarted: bool) -> None:
+    def __init__(self, config: Controller, options: Options, unit: UnitState) -> None:
         self._config = config
         self._unit = unit
         self._motors = fleetaxes.motors(config)
@@ -42,12 +38,10 @@ class Poller:
         self._last: Look | None = None
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
-        self._restarted = restarted
-        self._introduced = False
 
     async def poll(self) -> Reading:
         unit, session = self._unit, self._unit.session
-        queries: list[Query] = [ASK_USER_STATUS, ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
+        queries: list[Query] = [ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
         measured = self._encoders | unit.closed
         if measured:
             queries.append(ASK_ENCODERS)
@@ -55,7 +49,6 @@ class Poller:
             queries.append(ASK_INPUTS)
         if self._config.outputs:
             queries.append(ASK_OUTPUTS)
-        restarted, self._restarted = self._restarted, False
         said: dict[int, tuple[int, str]] = {}
         actual: dict[int, float] = {}
         try:
@@ -69,13 +62,13 @@ class Poller:
         else:
             look = unit.looked(heard.one(ASK_STATUS), heard.one(ASK_POSITIONS), heard.written_ns)
             said = errors(heard.lines(ASK_ERRORS))
-            restarted = restarted or heard.text(ASK_USER_STATUS) == "0"
             if ASK_ENCODERS in heard:
                 actual = _scaled(heard.text(ASK_ENCODERS), unit.gears)
             if ASK_INPUTS in heard:
                 self._inputs = port_bits(int(heard.text(ASK_INPUTS)))
             if ASK_OUTPUTS in heard:
                 self._outputs = port_bits(int(heard.text(ASK_OUTPUTS)))
+        restarted, session.restarted = session.restarted, False
         if restarted:
             unit.restarts += 1
             unit.referenced.clear()

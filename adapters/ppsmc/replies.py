@@ -35,7 +35,7 @@ ERRORS = _form("`<axis>:<number> <text>` for each axis", r"\d{1,2}:\d{1,6}(?: .*
 TARGETS = _form("`<axis>:<target>;` for each axis", r"(?:\d{1,2}:[ar]?[+-]?\d{0,12}\.?\d{1,12};?)+")
 SETTINGS = _form("`<name><axis>:<value>` lines", r"#.*|[a-z_]{1,10}\d{1,2}\s*:.*", many=True)
 VERSION = _form("the version", r".*\bsmc\b.*")
-PROGRAM = _form("program lines", r".*", many=True)
+PROGRAM = _form("program lines", r"(?!-?\d+$).+", many=True)  # no command of a program is a number alone
 
 ASK_STATUS = Query("?s", STATUS)
 ASK_POSITIONS = Query("?p", POSITIONS)

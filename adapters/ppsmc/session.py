@@ -2,7 +2,8 @@
 
 Only queries are answered, several answers look alike (`?s` and `?p`), some have as many lines as the unit has axes, and
 messages may come in between. So every batch ends with `us<token>` and `?us` (L3152, L4388): what comes until the token
-is its answers, whole and in order, and what a lost batch still sends is told by its own token. A blocked unit answers
+is its answers, whole and in order, and what a lost batch still sends is told by its own token. Before a new token is
+given the old one is read: it is 0 after a restart (L3158). A blocked unit answers
 `?s` and `?p` alone (L1404): those are asked without a token then.
 """
 
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, Bits, Query, states
+from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, ASK_USER_STATUS, Bits, Query, states
 from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
 
@@ -37,10 +38,12 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was said to a batch, by query. written_ns: when the batch was handed over (or would be, at the latest)."""
+    """What was said to a batch, by query and all of it. written_ns: when the batch was handed over (or would be, at
+    the latest)."""
 
     answers: dict[str, list[Line]]
     written_ns: int
+    said: list[Line]
 
     def one(self, query: Query) -> Line:
         return self.answers[query.text][0]
@@ -84,12 +87,18 @@ class Pending:
 
 
 class Session:
-    """The conversation with one unit. slow_ns: the slowest execution of one command. greeting: what it said first."""
+    """The conversation with one unit.
+
+    slow_ns: the slowest execution of one command. token: the last one of an earlier connection, 0 without any.
+    greeting: what the unit said first. restarted: it has forgotten the token; stays so until somebody takes note.
+    """
 
     def __init__(self, link: Link, clock: Clock, answer_ns: int, slow_ns: int, token: int = 0) -> None:
         self.link = link
         self.greeting = ""
         self.blocked = False
+        self.restarted = False
+        self._known = token > 0
         self._clock = clock
         self._answer_ns = answer_ns
         self._slow_ns = slow_ns
@@ -147,14 +156,6 @@ class Session:
             self.blocked = False
             self._astray = True
 
-    async def ask_first(self, query: Query) -> str:
-        """The answer that the unit gives to `query` before it has a token of this connection."""
-        async with self._turn:
-            spoiler = (SPOILER,) if self.link.char_ns else ()
-            heard = await self._once((*spoiler, "txdel3", "echo0"), (query,))
-            self._astray = False
-            return heard.text(query)
-
     async def converse(self, command: str) -> str:
         """Any line, and whatever is said to it."""
         async with self._turn:
@@ -165,12 +166,10 @@ class Session:
                 return ""
             await self._prepare()
             pending = self._batch((command,), ())
-            said: list[Line] = []
-            pending.answered.add_done_callback(lambda _: said.extend(self._heard))
             self.link.write(pending.data)
-            await pending.answered
+            heard = await pending.answered
             self._astray = True  # it may have changed how answers end
-            return "\n".join(line.text for line in said)
+            return "\n".join(line.text for line in heard.said[:-1])
 
     def interrupt(self, *commands: str) -> int:
         """Write past everything else, at once; gives the instant. Our lines are handed over whole, so that this is
@@ -208,7 +207,7 @@ class Session:
             raise self._closed
         self._token = self._token + 1 if self._token < _LAST_TOKEN else _FIRST_TOKEN
         token = str(self._token)
-        lines = [*commands, *(query.text for query in queries), f"us{token}", "?us"]
+        lines = [*commands, *(query.text for query in queries), "?us", f"us{token}", "?us"]
         data = "".join(line + EOL for line in lines).encode()
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
         pending = self._pending[token] = Pending(token, tuple(queries), data, since_ns)
@@ -330,8 +329,8 @@ class Session:
     def _answer(self, pending: Pending) -> None:
         """Share out the lines before the token; what fits nothing is a message (echo, L1824)."""
         answers: dict[str, list[Line]] = {}
-        left = list(self._heard)
-        for query in pending.queries:
+        left, said = list(self._heard), list(self._heard)
+        for query in (*pending.queries, ASK_USER_STATUS):
             mine: list[Line] = []
             while left:
                 if not query.form.fits(left[0].text):
@@ -355,7 +354,10 @@ class Session:
                 )
                 return
             answers[query.text] = mine
-        pending.settle(Heard(answers, pending.written_ns))
+        if answers[ASK_USER_STATUS.text][0].text == "0":
+            self.restarted = self.restarted or self._known
+        self._known = True
+        pending.settle(Heard(answers, pending.written_ns, said))
 
 
 def _blocked(place: str) -> DriverFault:
