@@ -28,7 +28,10 @@ def exchange_ns(options: Options, char_ns: int, *parts: tuple[int, int]) -> int:
 
 
 def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
-    """Bounds in ns for a line with this character time, whose other units may do the same at the same time.
+    """Bounds in ns for a line with this character time.
+
+    Arming is that of this unit alone, while others are read: whoever arms several of a line adds them up. Unloading and
+    stopping are those of all units of the line at once.
 
     ramp_s: the longest ramp of the motion that may have to be stopped.
     """
@@ -40,7 +43,8 @@ def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
     # The stops of all units are written one after another at once; each is said again in its turn.
     stop_ns = slots.count * (_LONGEST_LINE + _STOP[0]) * char_ns + ceil(ramp_s * NS_PER_S)
     return Costs(
-        arm_ns=slots.count * arm_ns,
+        # What is loaded is loaded in one go: before it, each of the others may have its turn once.
+        arm_ns=arm_ns + (slots.count - 1) * exchange_ns(options, char_ns, _SENTINEL),
         disarm_ns=slots.count * (promise_ns + unload_ns + slots.each_ns) + settle_ns + program_ns,
         stop_ns=stop_ns + 2 * settle_ns + slots.count * exchange_ns(options, char_ns, _STOP, _CHECK) + _LOOK_NS,
     )

@@ -8,7 +8,8 @@ speaks, so that what comes in it is the answer to that line.
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
 from adapters.contract import CannotDo, DriverFault
@@ -69,6 +70,7 @@ class Line:
         self._clock = clock
         self._answer_ns = answer_ns
         self._turn = asyncio.Lock()
+        self._owner: asyncio.Task[object] | None = None
         self._opening = asyncio.Lock()
         self._reader = ReplyReader(with_checksum)
         self._link: Link | None = None
@@ -131,6 +133,23 @@ class Line:
 
     # Speaking in turns
 
+    @asynccontextmanager
+    async def together(self) -> AsyncGenerator[None]:
+        """Exchanges with nobody else's between them; within a turn of the same task, a part of that.
+
+        Turns are given in the order in which they were asked for.
+        """
+        task = asyncio.current_task()
+        if self._owner is task:
+            yield
+            return
+        async with self._turn:
+            self._owner = task
+            try:
+                yield
+            finally:
+                self._owner = None
+
     async def exchange(
         self,
         unit: int | None,
@@ -144,7 +163,7 @@ class Line:
         expected: characters that they take. still: called just before writing; if it raises, nothing is written.
         Raises `Disturbed`, `DriverFault` (no-answer, two-answers), `LinkClosed`. Gives what has come when it is silent.
         """
-        async with self._turn:
+        async with self.together():
             await self._free(len(data) + expected)
             self._require_one_answer(unit)
             if still is not None:

@@ -68,23 +68,32 @@ class Mover:
         began_ns, since = self._clock.now_ns(), unit.session.stops
         async with unit.loading:
             await unit.stopped()
-            await self._require_start(lowered)
-            await unit.load(lowered.program, since)
-            loaded_ns = self._clock.now_ns()
-            if lowered.wait is not None:
-                await self._require_passive(lowered)
-                move.running = True
-                await unit.run(since, "step")
-                if not (await unit.status()).busy:
-                    raise CannotDo(
-                        "line-level",
-                        f"axis {lowered.axis} has not begun to wait for input {lowered.wait.name}",
-                        "is the line active already?",
-                    )
-            elif lowered.drive is not None:
-                await self._require_passive(lowered)
+            # In one go: between any two exchanges every other unit of the line could have its turn.
+            async with unit.session.line.together():
+                loaded_ns = await self._load(move, since)
         unit.session.require_no_stop(since)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
+
+    async def _load(self, move: Move, since: int) -> int:
+        """Check where it stands, load the program and read it back, and have it wait if it is to wait; when it was
+        loaded."""
+        lowered, unit = move.lowered, self._unit
+        await self._require_start(lowered)
+        await unit.load(lowered.program, since)
+        loaded_ns = self._clock.now_ns()
+        if lowered.wait is not None or lowered.drive is not None:
+            await self._require_passive(lowered)
+        if lowered.wait is None:
+            return loaded_ns
+        move.running = True
+        await unit.run(since, "step")
+        if not (await unit.status()).busy:
+            raise CannotDo(
+                "line-level",
+                f"axis {lowered.axis} has not begun to wait for input {lowered.wait.name}",
+                "is the line active already?",
+            )
+        return loaded_ns
 
     async def verify(self) -> None:
         """Still loaded, still where the plan starts, or still waiting for its line. Raises `CannotDo`."""

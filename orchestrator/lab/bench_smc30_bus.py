@@ -153,8 +153,8 @@ async def _together(bus: _Bus, *, line: bool) -> tuple[list[int], int]:
     profiles = dict(plan_step([AxisMove("a", 0, STEPS, VELOCITY, ACCELERATION)]).profiles)
     how = StartWay(wait=LineWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS)) if line else StartWay(by="host")
     lowered = [driver.lower(profiles, how, None) for driver in bus.drivers]
-    costs = lowered[0].costs
-    t0_ns = bus.clock.now_ns() + costs.arm_ns + costs.disarm_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
+    lead_ns = sum(each.costs.arm_ns for each in lowered) + max(each.costs.disarm_ns for each in lowered)
+    t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(bus.drivers, lowered, strict=True))
     await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
     await asyncio.gather(*(driver.verify() for driver in bus.drivers))

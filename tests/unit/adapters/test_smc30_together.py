@@ -27,7 +27,7 @@ async def released(world: World) -> int:
     """All armed, promised and released; T0."""
     drivers = list(world.drivers.values())
     lowered = [driver.lower(await world.plan(driver, TARGET), HOST, None) for driver in drivers]
-    t0_ns = world.t0(lowered[0])
+    t0_ns = world.t0(lowered[0]) + sum(each.costs.arm_ns for each in lowered[1:])
     await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True)))
     await asyncio.gather(*(driver.verify() for driver in drivers))
     await asyncio.gather(*(driver.go() for driver in drivers))
@@ -120,7 +120,7 @@ def test_a_line_starts_some_while_slots_start_the_others() -> None:
             each: driver.lower(await world.plan(driver, 500), ways[each], None)
             for each, driver in world.drivers.items()
         }
-        t0_ns = world.t0(lowered[1])
+        t0_ns = world.t0(lowered[1]) + sum(each.costs.arm_ns for each in lowered.values())
         drivers = world.drivers
         await asyncio.gather(*(driver.arm(lowered[each], t0_ns, None) for each, driver in drivers.items()))
         await asyncio.gather(*(driver.verify() for driver in drivers.values()))
