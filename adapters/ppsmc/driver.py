@@ -186,7 +186,7 @@ class PpSmcDriver(Driver):
         async with self._output_turn:
             now, bit = int((await unit.session.ask(ASK_OUTPUTS)).text(ASK_OUTPUTS)), 1 << number
             value = now | bit if on else now & ~bit
-            heard = await unit.session.say((f"dout{value}",), ASK_OUTPUTS)
+            heard = await unit.session.settle((f"dout{value}",), ASK_OUTPUTS)
         if int(heard.text(ASK_OUTPUTS)) != value:
             raise CannotDo("not-switched", f"the outputs are {heard.text(ASK_OUTPUTS)} after dout{value}", "")
 
@@ -200,7 +200,7 @@ class PpSmcDriver(Driver):
             raise CannotDo("blocked", "the controller is still blocked after `unblock`", "look at its screen")
         if not look.idle:
             raise CannotDo("moving", "errors can not be cleared while an axis moves", "wait, or stop it")
-        await unit.session.say(("cerr",), ASK_STATUS)
+        await unit.session.settle(("cerr",), ASK_STATUS)
         if not unit.introduced:
             await self.configure()
 

@@ -107,7 +107,7 @@ async def load_targets(unit: UnitState, options: Options, lowered: SmcLowered) -
     """Speeds and the target buffer. Raises `CannotDo` when the unit does not hold them."""
     commands = [*profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
-    heard = await unit.session.say(commands, *queries)
+    heard = await unit.session.settle(commands, *queries)
     if options.check_profile:
         held = settings(heard.lines(ASK_SETTINGS))
         for each in lowered.moves:
@@ -164,7 +164,7 @@ def _is_target(text: str) -> bool:
 async def load_program(unit: UnitState, lowered: SmcLowered) -> None:
     """The program in place of the one in memory. Raises `CannotDo` when the unit does not hold it."""
     lines = program_lines(unit, lowered)
-    heard = await unit.session.say(["clr", *lines], ASK_PROGRAM)
+    heard = await unit.session.settle(["clr", *lines], ASK_PROGRAM)
     require_program(lines, heard.lines(ASK_PROGRAM))
 
 

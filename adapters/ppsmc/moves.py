@@ -98,7 +98,7 @@ class Mover:
         move = Move(lowered, t0_ns)
         unit.by_hand -= move.motors
         lock = ["remote"] if self._options.panel == "lock" else []
-        heard = await self._session.say(lock, *loading.checks(lowered))
+        heard = await self._session.settle(lock, *loading.checks(lowered))
         look = loading.require_rest(unit, lowered, heard)
         # Without it `tbg` moves nothing while any switch is active (L2994); axes never move towards an active one.
         move.ignore_limits = look.on_limit
@@ -222,7 +222,7 @@ class Mover:
             self._unit.untidy = True
             return
         try:
-            heard = await self._session.say(("tbc",), ASK_STATUS, ASK_POSITIONS)
+            heard = await self._session.settle(("tbc",), ASK_STATUS, ASK_POSITIONS)
         except DriverFault as error:
             if error.fault.code != "blocked":
                 raise

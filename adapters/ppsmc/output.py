@@ -71,7 +71,7 @@ class DrivenOutput:
         # Whoever fires says whether it was in time to take the order back.
         await asyncio.gather(self._order.done(), return_exceptions=True)
         self._order = None
-        await self._unit.session.say((self.off,))
+        await self._unit.session.settle((self.off,))
 
     def forget(self) -> None:
         """Do nothing more about it by itself."""
@@ -82,7 +82,7 @@ class DrivenOutput:
     async def _release(self, until_ns: int) -> None:
         await sleep_until_ns(self._clock, until_ns)
         try:
-            heard = await self._unit.session.say((self.off,), ASK_OUTPUTS)
+            heard = await self._unit.session.settle((self.off,), ASK_OUTPUTS)
             if self._drive.is_active(int(heard.text(ASK_OUTPUTS))):
                 self._failed = f"output {self._drive.name} is still active after it was switched back"
             self._order = None

@@ -29,6 +29,7 @@ def _form(words: str, pattern: str, many: bool = False) -> Form:
 
 
 NUMBER = _form("a number", r"-?\d{1,10}")
+PORT = _form("a byte", r"\d{1,3}")
 STATUS = _form("`<axis>:<state>;` for each axis", r"(?:\d{1,2}:\d{1,10};)+")
 POSITIONS = _form("`<axis>:<position>;` for each axis", r"(?:\d{1,2}:(?:osc|[+-]?\d{0,12}\.?\d{1,12}[^;:\d]{0,3});)+")
 ERRORS = _form("`<axis>:<number> <text>` for each axis", r"\d{1,2}:\d{1,6}(?: .*)?", many=True)
@@ -45,8 +46,8 @@ ASK_TARGETS = Query("?tb", TARGETS)
 ASK_SETTINGS = Query("?conf", SETTINGS)
 ASK_VERSION = Query("?v", VERSION)
 ASK_PROGRAM = Query("?pgm", PROGRAM)
-ASK_INPUTS = Query("?in", NUMBER)
-ASK_OUTPUTS = Query("?out", NUMBER)
+ASK_INPUTS = Query("?in", PORT)
+ASK_OUTPUTS = Query("?out", PORT)
 ASK_USER_STATUS = Query("?us", NUMBER)
 
 _NUMBER_FIRST = re.compile(r"[+-]?\d*\.?\d+")

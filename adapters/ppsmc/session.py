@@ -128,13 +128,17 @@ class Session:
 
     async def ask(self, *queries: Query) -> Heard:
         """The answers to queries, which are asked once more when they go wrong. Raises `DriverFault`."""
+        return await self.settle((), *queries)
+
+    async def settle(self, commands: Sequence[str], *queries: Query) -> Heard:
+        """Give commands that may as well be given twice, then ask; all once more when it goes wrong."""
         try:
-            return await self.say((), *queries)
+            return await self.say(commands, *queries)
         except DriverFault as error:
             if error.fault.code == "blocked":
                 raise
             self._astray = True
-        return await self.say((), *queries)
+        return await self.say(commands, *queries)
 
     async def say(self, commands: Sequence[str], *queries: Query, still: Callable[[], None] | None = None) -> Heard:
         """Give commands, then ask. Not repeated. still: called when it is its turn; if it raises, nothing is sent."""
@@ -318,8 +322,9 @@ class Session:
             self._answer(pending)
             self._heard.clear()
         elif line.text in self._lost:
+            # The end of a lost batch; or what `?us` gives now because that batch was executed after all.
             self._lost.discard(line.text)
-            self._heard.clear()
+            self._heard = [line]
         else:
             self._heard.append(line)
             del self._heard[:-_MOST_LINES]

@@ -52,7 +52,7 @@ async def introduce(unit: UnitState, options: Options) -> None:
     commands = ["pqrf0", "tbc"]
     if options.panel == "lock":
         commands.append("remote")
-    found = settings((await session.say(commands, ASK_SETTINGS)).lines(ASK_SETTINGS))
+    found = settings((await session.settle(commands, ASK_SETTINGS)).lines(ASK_SETTINGS))
     wishes: dict[str, str] = {}
     for name, axis in config.axes.items():
         motor = fleetaxes.motor(axis)
@@ -82,7 +82,7 @@ async def introduce(unit: UnitState, options: Options) -> None:
         elif loop == "closed":
             unit.closed.add(motor)
     if wishes:
-        heard = await session.say([f"{name}:{value}" for name, value in wishes.items()], ASK_SETTINGS)
+        heard = await session.settle([f"{name}:{value}" for name, value in wishes.items()], ASK_SETTINGS)
         now = {f"{n}{axis}": v for axis, each in settings(heard.lines(ASK_SETTINGS)).items() for n, v in each.items()}
         for name, value in wishes.items():
             if now.get(name) != value:

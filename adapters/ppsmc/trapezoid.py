@@ -110,6 +110,7 @@ def fit(distance: int, duration_s: float, acceleration: float, bounds: Bounds) -
             break
     else:
         search.gentle()
+        search.steeper(planned)
     search.steady()
     search.limited()
     best, longer = search.best, search.longer
@@ -137,6 +138,8 @@ class _Search:
 
     def ramps(self, a: int, d: int) -> None:
         """Candidates with these ramps: trapezoids where the move is long enough for one, triangles otherwise."""
+        if min(a, d) < 1:
+            return
         n, t, k = self._distance, self._duration_s, (1 / a + 1 / d) / (2 * _HZ_PER_S)
         # The speed that is needed with the lowest start speed is the largest that comes into question.
         quick = self._cruise(self._lowest, k)
@@ -166,6 +169,17 @@ class _Search:
                     for other in (floor(d), ceil(d)):
                         self.ramps_at(f, a, other)
                         self.ramps_at(f, other, a)
+
+    def steeper(self, planned: int) -> None:
+        """Candidates with ever steeper ramps, for a duration that the planned ones are too gentle for."""
+        if self._cruise(self._highest, 1 / (planned * _HZ_PER_S)) is not None:
+            return
+        a = planned
+        while a < self._ramp_max and self.error_s > _GOOD_ENOUGH_S:
+            a = min(self._ramp_max, a + max(1, a // 8))
+            for d in (a, a - 1, a - 2):
+                self.ramps(a, d)
+                self.ramps(d, a)
 
     def ramps_at(self, f: int, a: int, d: int) -> None:
         """Candidates with the slew speed `f` and these ramps."""

@@ -1,0 +1,183 @@
+"""Lowering for the SMC: durations, limits, path errors, refusals; nothing here touches a controller."""
+
+from random import Random
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from unit.adapters.ppsmc_bench import controller
+
+from adapters.contract import CannotDo
+from adapters.ppsmc import MAKE, fleetaxes
+from adapters.ppsmc.lowering import SmcLowered, lower
+from adapters.ppsmc.options import Options
+from adapters.ppsmc.replies import ERRORS, POSITIONS, PROGRAM, SETTINGS, STATUS, TARGETS, number_in
+from adapters.ppsmc.trapezoid import Bounds, Trapezoid, fit
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+
+
+def lowered(profile: Profile, options: Options | None = None, **axis: Any) -> SmcLowered:
+    return lower(controller("x", axis=axis), options or Options(), 0, 1, {"x": profile}, StartWay())
+
+
+def planned(distance: int, velocity: float, acceleration: float, factor: float = 1.0) -> Profile:
+    plan = plan_step([AxisMove("x", 0, distance, velocity, acceleration)])
+    return plan.stretched(plan.duration_s * factor).profiles["x"]
+
+
+def test_the_worked_example() -> None:
+    """15,000 steps in 3 s with 10 Hz/ms and 200 Hz are 6200 Hz: ramps of 0.6 s, 1.8 s between them."""
+    shape = fit(15_000, 3.0, 10_000.0, Bounds(20_000, 10_000.0, 200, 200))
+    assert shape == Trapezoid(15_000, 200, 6200, 10, 10)
+    assert shape.duration_s == pytest.approx(3.0, abs=1e-9)
+    assert [leg.duration_s for leg in shape.legs] == pytest.approx([0.6, 1.8, 0.6])
+
+
+@pytest.mark.parametrize("shape", [Trapezoid(5000, 100, 3000, 7, 11), Trapezoid(200, 100, 3000, 7, 11)])
+def test_legs_add_up_to_distance_and_duration(shape: Trapezoid) -> None:
+    way = sum(leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2) for leg in shape.legs)
+    assert way == pytest.approx(shape.distance)
+    assert sum(leg.duration_s for leg in shape.legs) == pytest.approx(shape.duration_s)
+
+
+def test_random_moves_keep_their_limits_and_where_ramps_reach_their_duration() -> None:
+    draw, worst, reached = Random(1), 0.0, 0
+    for _ in range(400):
+        velocity, acceleration = 10 ** draw.uniform(2, 5), 10 ** draw.uniform(3.5, 6)
+        distance = round(10 ** draw.uniform(1.7, 5.5))
+        limits = Bounds(velocity, acceleration, draw.randint(1, 20), draw.randint(20, 1000))
+        quickest = fit(distance, 0.001, acceleration, limits)
+        assert quickest is not None
+        duration_s = quickest.duration_s * draw.uniform(1.02, 3)
+        shape = fit(distance, duration_s, acceleration / 2, limits)
+        assert shape is not None
+        assert limits.start_min <= shape.s <= max(limits.start_min, limits.start_max)
+        assert shape.f <= velocity and max(shape.a, shape.d) * 1000 <= acceleration * (1 + 1e-6)
+        # What can not be had to a millisecond is answered with the next longer one.
+        assert shape.duration_s >= duration_s - 0.001 - 1e-9
+        if (distance / duration_s) ** 2 > 1000 * duration_s and limits.start_max > 500 and acceleration < 3e5:
+            reached += 1
+            worst = max(worst, abs(shape.duration_s - duration_s))
+    assert reached > 30 and worst < 1e-3
+
+
+def test_an_answer_that_is_planned_again_is_kept() -> None:
+    """30 steps/s for 40 s: whole Hz are 1.3 s apart; all members wait for the next longer one."""
+    profile = planned(1234, 30.9, 5000.0)
+    first = lowered(profile, start_rate={"min": 0.001, "max": 2})
+    longer_s = first.durations_s["x"]
+    assert profile.duration_s < longer_s < profile.duration_s * 1.05
+    again = lowered(profile.stretched(longer_s / profile.duration_s), start_rate={"min": 0.001, "max": 2})
+    assert again.durations_s["x"] == pytest.approx(longer_s, abs=1e-3)
+
+
+@pytest.mark.parametrize("ppm", [-300.0, 0.0, 250.0])
+def test_the_rate_of_the_crystal_is_made_up_for(ppm: float) -> None:
+    profile = planned(100_000, 20_000.0, 100_000.0, 1.2)
+    result = lowered(profile, Options(rate_ppm=ppm))
+    (move,) = result.moves
+    assert move.shape is not None
+    assert result.durations_s["x"] == pytest.approx(profile.duration_s, abs=1e-4)
+    assert move.shape.duration_s == pytest.approx(result.durations_s["x"] * (1 + ppm * 1e-6), abs=1e-12)
+
+
+def test_what_is_sent_and_how_far_it_is_from_the_plan() -> None:
+    profile = planned(-39_900, 20_000.0, 100_000.0, 1.2)
+    result = lowered(profile)
+    assert result.commands[0].startswith("frun1:") and result.commands[-1] == "tbg"
+    (move,) = result.moves
+    assert move.shape is not None
+    worst = 0.0
+    for k in range(2000):
+        t = at_s = k / 2000 * profile.duration_s
+        x = 0.0
+        for leg in move.shape.legs:
+            step = min(t, leg.duration_s)
+            x += step * (leg.speed + step * leg.acceleration / 2)
+            t -= step
+        worst = max(worst, abs(-x - profile.at(at_s).position))
+    assert worst <= result.path_error_counts["x"] < worst + 1.5
+
+
+def test_refusals_name_axis_and_what_would_fit() -> None:
+    with pytest.raises(CannotDo, match=r"axis x: 3 steps .* slower") as caught:
+        lowered(planned(3, 20_000.0, 100_000.0, 10_000))
+    assert caught.value.refusal.code == "too-slow" and "start_rate" in caught.value.refusal.remedy
+    jerky = Profile(0, 1000, 1000.0, [0.1] * 4, [0.0, 1.0, -1.0, 0.0], [10.0, -10.0, -10.0, 10.0])
+    with pytest.raises(CannotDo, match="jerk"):
+        lowered(jerky)
+    far = Profile(0, 2**23, 2.0**23, [100.0, 100.0], [1e-4, -1e-4], [0.0, 0.0])
+    with pytest.raises(CannotDo) as beyond:
+        lowered(far)
+    assert beyond.value.refusal.code == "too-far"
+
+
+def test_an_axis_gentler_than_the_slowest_ramp_runs_at_a_start_speed() -> None:
+    limits = {"velocity": 5, "acceleration": 0.5}
+    result = lowered(planned(3000, 400.0, 400.0), limits=limits, homing={}, start_rate={"min": 0.1, "max": 2})
+    (move,) = result.moves
+    assert move.shape is not None and move.shape.s == move.shape.f
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"axis": {"motors": ["17"]}}, "motors"),
+        ({"axis": {"motors": ["X"]}}, "motors"),
+        ({"axis": {"homing": {"method": "mark"}}}, "switch, slowdown"),
+        ({"axis": {"homing": {"method": "ref", "direction": "positive"}}}, "direction"),
+        ({"axis": {"start_rate": {"min": 60, "max": 70}}}, "start_rate"),
+        ({"axis": {"limits": {"velocity": 1e-6, "acceleration": 1}, "homing": {}}}, "velocity"),
+        ({"inputs": {"a": {"number": 1}}}, "io_port"),
+        ({"outputs": {"a": {"number": 9}}, "options": {"io_port": True}}, "bits 0 to 7"),
+        ({"options": {"loop": {"q": "open"}}}, "loop"),
+        ({"options": {"encoders": ["q"]}}, "encoders"),
+        ({"link": {"kind": "udp", "host": "h", "port": 1}}, "udp"),
+    ],
+    ids=str,
+)
+def test_the_fleet_file_is_checked(change: dict[str, Any], said: str) -> None:
+    MAKE.check(controller())
+    config = controller("x").to_plain()
+    for key, value in change.items():
+        if key == "axis":
+            config["axes"]["x"].update(value)
+        else:
+            config[key] = value
+    with pytest.raises(ValueError, match=said):
+        MAKE.check(type(controller()).model_validate(config))
+
+
+def test_options_refuse_what_they_do_not_know() -> None:
+    with pytest.raises(ValidationError):
+        MAKE.options.model_validate({"wheels": 4})
+
+
+@pytest.mark.parametrize("gear", ["1", "10000/3", "400", "0.5", "123.4"])
+def test_positions_as_text_are_the_step_that_was_meant(gear: str) -> None:
+    from fractions import Fraction
+
+    draw, exact = Random(3), Fraction(gear)
+    for _ in range(300):
+        steps = draw.randrange(-(2**23), 2**23)
+        text = fleetaxes.written(steps, exact)
+        assert fleetaxes.steps(text, exact) == steps and len(text) < 20
+
+
+@pytest.mark.parametrize(
+    ("form", "yes", "no"),
+    [
+        (STATUS, ["1:131;", "1:129;2:0;16:16384;"], ["1:131", "1:1.5;", "131;", ""]),
+        (POSITIONS, ["1:1.234;", "1:1.234deg;2:osc;", "1:-.5;", "1:0;"], ["1:;", "1:1.2", "abc"]),
+        (ERRORS, ["1:0", "1:1500 limit switch error"], ["1:131;", "error"]),
+        (TARGETS, ["1:r0;2:a1.5;", "1:r0.00;2:r-1.5"], ["1:x;", "r0"]),
+        (SETTINGS, ["# configuration settings of axis 1", "ffast1:1000", "unit1 : mm"], ["1:0", "ffast:1"]),
+        (PROGRAM, ["in0.1", "1:a5.0s1r2a3d4"], ["1000001", "0"]),
+    ],
+)
+def test_forms_tell_replies_apart(form: Any, yes: list[str], no: list[str]) -> None:
+    assert all(form.fits(text) for text in yes)
+    assert not any(form.fits(text) for text in no)
+    assert number_in("1.234deg") == "1.234" and number_in("-.5") == "-.5" and number_in("osc") is None

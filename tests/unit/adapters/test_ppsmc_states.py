@@ -1,0 +1,351 @@
+"""States that a person, another program, the unit or the wire may bring about, and what the SMC driver makes of them."""
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+from dataclasses import replace
+from random import Random
+from typing import Any
+
+import pytest
+from unit.adapters.ppsmc_bench import Bench, controller, run
+
+from adapters.contract import CannotDo, DriverFault
+from adapters.ppsmc import MAKE
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.link.base import Link, LinkClosed, LinkRefused
+
+CLOSED: dict[str, Any] = {"encoder": True, "encoder_follows": True}
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("tbs1:r5", "tbs2:a7"),
+        ("clr", "1:5s500r2000a10", "nl", "end"),
+        ("echo2", "pqrf1", "txdel0"),
+        ("txdel1", "local", "dcpl1:1"),
+        ("us77", "iel1"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "serial"])
+def test_leftovers_never_move_and_do_no_harm(lines: Sequence[str], serial: bool) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.somebody(*lines)
+        await bench.ready()
+        assert not bench.moved()
+        other = await bench.somebody("?tb")
+        assert b"1:r0;2:r0;3:r0;" in other.raw
+        assert bench.unit.unit.local is False
+        outcome = await bench.move({"x": 333})
+        assert outcome.state == "done", outcome
+        assert bench.steps("x") == 333 and bench.steps("y") == 0
+
+    run(case, config=controller(serial=serial))
+
+
+@pytest.mark.parametrize("half", ["goto1:5", "move1:5.", "tbg", "1:5s500", "fast1+", "q", "block", "run2-"])
+def test_a_half_typed_line_on_the_serial_port_is_not_completed(half: str) -> None:
+    async def case(bench: Bench) -> None:
+        line = await bench.wire.open()
+        line.write(half.encode())
+        await sleep_ns(bench.clock, 100 * NS_PER_MS)
+
+        async def same_line() -> Link:
+            return line
+
+        driver = MAKE.driver(replace(bench.driver._setup, open_link=same_line))
+        await driver.connect()
+        await driver.configure()
+        await sleep_ns(bench.clock, 200 * NS_PER_MS)
+        assert not bench.moved() and not bench.unit.unit.blocked and not bench.unit.unit.memory.listing
+        await driver.close()
+
+    run(case, config=controller(serial=True))
+
+
+def test_a_moving_unit_and_a_running_program_are_waited_for_and_not_stopped() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.somebody("move1:1", "move2:-1")
+        assert bench.moving
+        await bench.ready()
+        assert bench.steps("x") == 1000 and bench.steps("y") == -1000
+        await bench.driver.close()
+        await sleep_ns(bench.clock, 20 * NS_PER_MS)
+        await bench.somebody("clr", "1:3s500", "nl", "2:3s500", "nl", "end", "start:")
+        await bench.ready()
+        assert bench.steps("x") == 4000 and bench.steps("y") == 2000
+
+    run(case)
+
+
+@pytest.mark.parametrize("lines", [("osc1:5",), ("clr", "in0.1", "nl", "end", "start:"), ("ccount",)], ids=str)
+def test_a_unit_that_never_rests_is_named(lines: Sequence[str]) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.somebody(*lines)
+        with pytest.raises(DriverFault) as caught:
+            await bench.driver.connect()
+        assert caught.value.fault.code == "busy" and "`q`" in caught.value.fault.remedy
+        await bench.somebody("q", wait_ms=1000)
+        await bench.reached_again()
+
+    options = {"busy_wait_s": 3}
+    run(case, config=controller(options=options), simulate={"hardware": ["io_port", "counter"]})
+
+
+@pytest.mark.parametrize(
+    ("lines", "config", "named"),
+    [
+        (("gnum2:500",), controller(), "gnum2"),
+        (("gden1:3",), controller(), "gear of axis x"),
+        ((), controller(axis={"unit": "um"}), "gear of axis x"),
+    ],
+)
+def test_a_unit_of_another_configuration_is_refused(lines: Sequence[str], config: Any, named: str) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.somebody(*lines)
+        await bench.driver.connect()
+        with pytest.raises(DriverFault, match=named) as caught:
+            await bench.driver.configure()
+        assert caught.value.fault.code == "config-mismatch" and caught.value.fault.remedy
+
+    run(case, config=config)
+
+
+def test_an_axis_that_the_unit_has_not_is_refused() -> None:
+    async def case(bench: Bench) -> None:
+        with pytest.raises(DriverFault, match="axis 3"):
+            await bench.ready()
+
+    run(case, simulate={"axes": 2})
+
+
+def test_another_make_is_named() -> None:
+    async def case(bench: Bench) -> None:
+        bench.wire.to_near = lambda data: data.replace(b"smc", b"xyz")
+        with pytest.raises(DriverFault) as caught:
+            await bench.driver.connect()
+        assert caught.value.fault.code == "wrong-make"
+
+    run(case)
+
+
+def test_a_panel_that_was_unlocked_is_locked_again_before_a_step() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.somebody("local")
+        assert bench.unit.unit.local
+        await bench.arm({"x": 50})
+        assert not bench.unit.unit.local
+
+    run(case)
+
+
+def test_a_panel_is_left_alone_where_the_fleet_file_says_so() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.arm({"x": 50})
+        assert bench.unit.unit.local
+
+    run(case, config=controller(options={"panel": "leave"}))
+
+
+@pytest.mark.parametrize(
+    ("lines", "code"),
+    [
+        (("move1:1", "sleep0"), "other-start"),
+        (("tbc",), "not-loaded"),
+        (("tbs1:r1",), "not-loaded"),
+        (("tbs3:r1",), "other-targets"),
+        (("clr", "in0.1", "nl", "end", "start:"), "busy"),
+    ],
+)
+def test_what_others_do_between_arming_and_the_promise_is_found(lines: Sequence[str], code: str) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.arm({"x": 50_000})
+        await bench.somebody(*lines)
+        await bench.rest()
+        with pytest.raises(CannotDo) as caught:
+            await bench.driver.verify()
+        assert caught.value.refusal.code == code
+        await bench.somebody("q")
+        await bench.driver.disarm()
+        assert (await bench.move({"x": 20})).state == "done"
+
+    run(case)
+
+
+def test_a_speed_that_the_unit_does_not_take_is_refused_while_arming() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        with pytest.raises(CannotDo) as caught:
+            await bench.arm({"x": 50_000})
+        assert caught.value.refusal.code == "not-loaded" and "ffast1" in caught.value.refusal.text
+        await bench.driver.disarm()
+        assert not bench.moved()
+
+    run(case, simulate={"fmax_hz": 10_000})
+
+
+def test_a_start_that_the_unit_ignores_is_said() -> None:
+    """emips: an axis does not move while the input port has another value (L614); nothing else shows that."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.somebody("emips2:1")
+        await bench.start({"x": 5000, "y": 5000})
+        with pytest.raises(DriverFault) as caught:
+            await bench.driver.started()
+        assert caught.value.fault.code == "not-started" and caught.value.fault.axis == "y"
+        assert "emips" in caught.value.fault.remedy
+        await bench.driver.stop(False)
+        await bench.rest()
+
+    run(case)
+
+
+def test_a_limit_on_another_axis_does_not_keep_a_group_from_starting() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        bench.unit.set_limit("3", "reverse")
+        assert (await bench.move({"x": 5000})).state == "done"
+
+    run(case)
+
+
+def test_a_limit_that_changes_after_arming_is_found() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.arm({"x": 5000})
+        bench.unit.set_limit("3", "reverse")
+        with pytest.raises(CannotDo, match="limit switch"):
+            await bench.driver.verify()
+        await bench.driver.disarm()
+
+    run(case)
+
+
+@pytest.mark.parametrize("stalled", [False, True])
+def test_closed_loop(stalled: bool) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.somebody(*(f"{name}1:{value}" for name, value in (("edev", 0.01), ("prt", 5), ("prst", 0.3))))
+        if stalled:
+            bench.unit.set_stalled("1", True)
+        before = len(bench.moved())
+        await bench.start({"x": 2000})
+        started, outcome = await bench.followed()
+        motion = bench.moved()[before]
+        assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
+        reading = await bench.driver.poll()
+        if stalled:
+            assert outcome.state == "fault" and "encoder" in outcome.reason
+            assert [fault.code for fault in reading.faults] == ["unit-error"]
+            assert reading.axes["x"].actual_counts == 0.0
+        else:
+            assert outcome.state == "done", outcome
+            assert motion.end_ns is not None
+            assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
+            assert reading.axes["x"].actual_counts == reading.axes["x"].commanded_counts == 2000
+
+    run(case, simulate=CLOSED, config=controller("x", options={"loop": {"x": "closed"}}))
+
+
+def test_a_loop_mode_is_loaded_or_left() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.somebody("ecl1:1", "ecl2:1")
+        await bench.ready()
+        settings = [axis.settings.ecl for axis in bench.unit.machine.axes]
+        assert settings == [0, 1, 0]
+
+    run(case, simulate=CLOSED, config=controller(options={"loop": {"x": "open"}}))
+
+
+def test_an_axis_that_does_not_settle_is_a_fault() -> None:
+    """The end never comes: the closed loop pauses for minutes between its attempts."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.somebody("edev1:0.01", "prt1:5", "prst1:300")
+        bench.unit.set_stalled("1", True)
+        outcome = await bench.move({"x": 2000})
+        assert outcome.state == "fault" and "does not come to rest" in outcome.reason
+
+    run(case, simulate=CLOSED, config=controller("x", options={"loop": {"x": "closed"}}))
+
+
+def test_an_axis_that_somebody_oscillates_is_read() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.move({"x": 600})
+        await bench.driver.poll()
+        await bench.somebody("osc1:5")
+        reading = await bench.driver.poll()
+        assert reading.axes["x"].moving and reading.axes["x"].commanded_counts == 600
+        with pytest.raises(CannotDo):
+            await bench.arm({"y": 100})
+
+    run(case)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
+    """Bytes garbled both ways, on a serial port without any check; whatever is said, nothing else starts."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        draw = Random(seed)
+
+        def garble(data: bytes) -> bytes:
+            return bytes(draw.randrange(32, 127) if draw.random() < 0.01 else each for each in data)
+
+        for _ in range(12):
+            bench.wire.to_near = bench.wire.to_far = garble
+            before = len(bench.moved())
+            targets = {name: draw.randrange(-3000, 3000) for name in draw.sample("xyz", 2)}
+            started = False
+            try:
+                await bench.start(targets)
+                started = True
+                await bench.followed()
+            except (CannotDo, DriverFault, LinkClosed, LinkRefused):
+                bench.wire.to_near = bench.wire.to_far = None
+                with contextlib.suppress(DriverFault):
+                    await bench.driver.stop(False)
+                await sleep_ns(bench.clock, 3 * NS_PER_S)
+                await bench.driver.disarm()
+            bench.wire.to_near = bench.wire.to_far = None
+            await bench.rest(30 * NS_PER_S)
+            moved = {motion.axis for motion in bench.moved()[before:]}
+            assert started or not moved
+        await sleep_ns(bench.clock, NS_PER_S)
+        await bench.driver.clear_faults()
+        reading = await bench.driver.poll()
+        assert {n: each.commanded_counts for n, each in reading.axes.items()} == {n: bench.steps(n) for n in "xyz"}
+
+    run(case, seed=seed, config=controller(serial=True))
+
+
+def test_polls_beside_everything_harm_nothing() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+
+        async def poll() -> None:
+            while True:
+                await bench.driver.poll()
+                await sleep_ns(bench.clock, 30 * NS_PER_MS)
+
+        polling = asyncio.get_running_loop().create_task(poll())
+        for target in (20_000, -20_000, 5):
+            t0_ns, lowered = await bench.start({"x": target, "y": target // 2})
+            started, outcome = await bench.followed()
+            assert outcome.state == "done", outcome
+            for motion in bench.moved()[-2:]:
+                name = "x" if motion.axis == "1" else "y"
+                assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
+                assert lowered.window_ns[0] <= motion.start_ns - t0_ns <= lowered.window_ns[1]
+        polling.cancel()
+
+    run(case)
