@@ -31,7 +31,7 @@ class Disturbed(Exception):
 class Shot:
     """A slot for one line that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after that.
 
-    heard: what has come in it; None: nothing, until its end.
+    heard: its answer; None: none has come, or nobody knows which one is its.
     """
 
     unit: int | None
@@ -44,7 +44,8 @@ class Shot:
 
     @property
     def end_ns(self) -> int:
-        return self.begin_ns + self.wire_ns + self.each_ns
+        """Until then nobody else speaks: a host that is late gets one slot more."""
+        return self.begin_ns + self.wire_ns + 2 * self.each_ns
 
     def hear(self, reply: Reply | None) -> None:
         if not self.heard.done():
@@ -79,6 +80,7 @@ class Line:
         self._users: set[int | None] = set()
         self._waiting: _Waiting | None = None
         self._shots: list[Shot] = []
+        self._answers: list[Reply] = []
         self._settled_ns = 0
         self._last: int | None = None
         self._strays: Counter[int | None] = Counter()
@@ -199,7 +201,6 @@ class Line:
         usual_ns = self.wire_ns(characters) + 10 * NS_PER_MS
         while True:
             now_ns = self._clock.now_ns()
-            self._shots = [shot for shot in self._shots if shot.end_ns > now_ns or not shot.heard.done()]
             until_ns = self._settled_ns
             for shot in self._shots:
                 if shot.begin_ns - usual_ns <= now_ns < shot.end_ns:
@@ -240,12 +241,25 @@ class Line:
                     "units of one line start in one step, or at least a second apart",
                 )
         self._shots.append(shot)
-        self._clock.call_at_ns(shot.end_ns, lambda: shot.hear(None))
+        self._clock.call_at_ns(shot.end_ns, self._share_out)
 
     def release(self, shot: Shot) -> None:
         """Its line was not and will not be written."""
         shot.hear(None)
         if shot in self._shots:
+            self._shots.remove(shot)
+
+    def _share_out(self) -> None:
+        """Units answer in the order of their slots: the answers of slots that follow each other are told apart by that,
+        because a host that is late could mistake the instants. If one is missing, nobody knows whose it is."""
+        now_ns = self._clock.now_ns()
+        fired = sorted((shot for shot in self._shots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns)
+        if any(shot.end_ns > now_ns for shot in fired):
+            return
+        answers, self._answers = self._answers, []
+        sure = len(answers) == len(fired)
+        for number, shot in enumerate(fired):
+            shot.hear(answers[number] if sure else None)
             self._shots.remove(shot)
 
     # Hearing
@@ -260,9 +274,8 @@ class Line:
             self._lost(link, error)
 
     def _take(self, reply: Reply) -> None:
-        fired = [shot for shot in self._shots if shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns]
-        if fired:
-            max(fired, key=lambda shot: shot.begin_ns).hear(reply)
+        if any(shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns for shot in self._shots):
+            self._answers.append(reply)
             return
         waiting = self._waiting
         if waiting is not None and reply.at_ns >= waiting.first_ns:
@@ -288,6 +301,7 @@ class Line:
         for shot in self._shots:
             shot.hear(None)
         self._shots.clear()
+        self._answers.clear()
 
 
 def _named(unit: int | None) -> str:

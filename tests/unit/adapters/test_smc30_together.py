@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 from unit.adapters.test_smc30_bench import HOST, World, run, wait
@@ -91,6 +92,20 @@ def test_one_stops_and_nothing_wrong_is_said_of_the_others(before_ms: int, which
                 assert unit.position("1") < TARGET
 
     run(main, ALL, seed=before_ms + 300)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_answers_that_the_host_hears_late_are_not_mistaken_for_each_other(seed: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        await released(world)
+        # More than from one slot to the next.
+        world.wire.model = replace(world.wire.model, hold_ns=14 * NS_PER_MS)
+        started = await asyncio.gather(*(driver.started() for driver in world.drivers.values()))
+        for each, span in zip(world.drivers, started, strict=True):
+            assert span["x"].earliest_ns <= world.units[each].motions[0].start_ns <= span["x"].latest_ns
+
+    run(main, ALL, seed=seed)
 
 
 def test_seven_that_jog_are_stopped_together() -> None:
