@@ -147,7 +147,9 @@ class Session:
                     raise Busy(command)
                 if text in _ERRORS and (refused or not repeatable):
                     raise CannotDo(
-                        "refused", f"{self.name} answers {text} to {command!r}: {_ERRORS[text]}", "see `docs`"
+                        "refused",
+                        f"{self.name} answers {text} to {command!r}: {_ERRORS[text]}",
+                        "was it switched off, or has somebody else programmed it? Try again",
                     )
                 refused += text in _ERRORS
             # E1: the unit has taken nothing. Anything else: nobody knows what it has taken.
