@@ -146,11 +146,7 @@ class Session:
                 if text == "B":
                     raise Busy(command)
                 if text in _ERRORS and (refused or not repeatable):
-                    raise CannotDo(
-                        "refused",
-                        f"{self.name} answers {text} to {command!r}: {_ERRORS[text]}",
-                        "was it switched off, or has somebody else programmed it? Try again",
-                    )
+                    raise self._refused(command, text)
                 refused += text in _ERRORS
             # E1: the unit has taken nothing. Anything else: nobody knows what it has taken.
             if not left or (not repeatable and text != "E1"):
@@ -161,6 +157,13 @@ class Session:
         self, command: str, whole: Callable[[list[Reply]], bool], still: Callable[[], None] | None
     ) -> tuple[int, list[Reply]]:
         return await self.line.exchange(self.unit, self.framed(command), whole, LONGEST_REPLY, still)
+
+    def _refused(self, command: str, text: str) -> CannotDo:
+        return CannotDo(
+            "refused",
+            f"{self.name} answers {text} to {command!r}: {_ERRORS[text]}",
+            "was it switched off, or has somebody else programmed it? Try again",
+        )
 
     def _silent(self, command: str) -> DriverFault:
         return DriverFault(
