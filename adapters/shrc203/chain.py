@@ -97,7 +97,8 @@ class _Thread:
 
 
 class Chain:
-    """A chain on one connection. say: told of every underrun. clock_ppm: largest error of the unit's crystal."""
+    """A chain on one connection, whose unit is marked as `chaining` until it has run. say: told of every underrun.
+    clock_ppm: largest error of the unit's crystal."""
 
     def __init__(
         self, config: Controller, clock: Clock, unit: UnitState, clock_ppm: float, say: Callable[[str], None]
@@ -119,7 +120,6 @@ class Chain:
         Raises `CannotDo` when nothing has begun. A chain that is stopped, or breaks, is a report with a reason.
         """
         unit = self._unit
-        unit.chaining = True
         for name in moves:
             number = motor(self._config.axes[name])
             self._stops[number] = unit.stops_given(number)

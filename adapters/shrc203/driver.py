@@ -184,8 +184,17 @@ class ShrcDriver(Driver):
         Raises `CannotDo`; then nothing has moved. say: told of every underrun.
         """
         unit = self._connected()
-        if self._moving().busy:
-            raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+        wrong = [name for name, each in moves.items() if name not in self._config.axes or not each]
+        if wrong or not moves:
+            raise CannotDo(
+                "bad-chain",
+                f"axis {wrong[0]} is unknown, or has no moves" if wrong else "a chain without axes",
+                f"give moves to some of {', '.join(self._config.axes)}",
+            )
+        async with unit.loading:
+            if self._moving().busy:
+                raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+            unit.chaining = True
         return await Chain(self._config, self._clock, unit, self._options.clock_ppm, say).run(moves)
 
     async def set_output(self, number: int, on: bool) -> None:

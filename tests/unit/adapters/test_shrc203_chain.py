@@ -165,6 +165,20 @@ def test_a_limit_switch_breaks_the_chain() -> None:
     run(case, config=CONFIG)
 
 
+@pytest.mark.parametrize("moves", [{}, {"x": []}, {"w": [ChainMove(5, Trapezoid(5, 100, 100, 1))]}], ids=str)
+def test_a_chain_of_nothing_is_refused_and_leaves_the_unit_free(moves: dict[str, list[ChainMove]]) -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        with pytest.raises(CannotDo) as caught:
+            await bench.driver.run_chain(moves)
+        assert caught.value.refusal.code == "bad-chain" and caught.value.refusal.remedy
+        await bench.start({"x": 100})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case, config=CONFIG)
+
+
 def test_nothing_else_is_armed_or_jogged_while_a_chain_runs() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
