@@ -143,6 +143,8 @@ class PpSmcDriver(Driver):
         outputs = mover.after_stop()
         lines = [*outputs, "q", *(["block"] if abort else [])]
         mover.interrupted(unit.write_stop(*lines))
+        if abort:
+            unit.session.block_sent()
 
     # By hand
 

@@ -152,7 +152,11 @@ class Mover:
         elif move.output is not None:
             line = move.output.on
         if line:
-            self._schedule(move, line)
+            # What is still being answered would be executed before the starting line, and delay it.
+            async with self._session.alone():
+                if self.move is not move:
+                    raise CannotDo("stopped", "a stop came before the start", "")
+                self._schedule(move, line)
         move.released = True
 
     async def _begin_wait(self, move: Move) -> None:
@@ -276,6 +280,14 @@ class Mover:
         question that it was asked behind the line, that they move; less what it takes to answer at the least.
         """
         move = self._require()
+        try:
+            return await self._started(move)
+        except DriverFault:
+            if self.move is move:
+                self.move = None  # what has started of it is the caller's to stop
+            raise
+
+    async def _started(self, move: Move) -> Mapping[str, Span]:
         fired = None if move.order is None else await self._fired(move)
         if move.waits:
             start = await self._line_start(move)
@@ -367,7 +379,6 @@ class Mover:
             await sleep_until_ns(self._clock, early_ns - 2 * self._unit.slow_ns)
             look = await self._unit.look()
             if any(self._unit_moves(look, each) for each in move.lowered.moves):
-                self.move = None
                 raise DriverFault(
                     "not-started",
                     f"the axes move before T0: input {wait.name} became active too early",
@@ -377,7 +388,6 @@ class Mover:
         while True:
             look = await self._unit.look()
             if move.stopped_ns is not None:
-                self.move = None
                 raise DriverFault("not-started", "stopped while it waited for its line", "")
             left = [each for each in move.lowered.moves if not self._unit_moves(look, each)]
             if not left:
@@ -386,7 +396,6 @@ class Mover:
                 raise self._not_started(move, left[0], look)
             if look.begun_ns > latest_ns:
                 self._unit.write_stop("q")
-                self.move = None
                 raise DriverFault(
                     "not-started",
                     f"axis {left[0].name} still waits: input {wait.name} (bit {wait.bit}) was not seen active by "
@@ -398,8 +407,17 @@ class Mover:
     async def outcome(self) -> Outcome:
         """Watch the axes until they are at rest. In closed loop they may make further moves after the planned one."""
         move = self._require()
-        if not move.lowered.moves or move.started is None:
-            return await self._nothing_moved(move)
+        try:
+            if not move.lowered.moves or move.started is None:
+                return await self._nothing_moved(move)
+            return await self._watched(move)
+        finally:
+            if self.move is move:
+                self.move = None
+                self._unit.untidy = True  # the buffer may keep its targets
+
+    async def _watched(self, move: Move) -> Outcome:
+        assert move.started is not None
         longest_s = max(move.lowered.durations_s.values())
         due_ns = move.started.latest_ns + self._slow_ns(longest_s)
         give_up_ns = due_ns + _LAG_NS + self._settle_ns
@@ -421,9 +439,6 @@ class Mover:
         wrong = await move.output.passive() if move.output is not None else ""
         error = error or bool(wrong)
         reasons += [wrong] if wrong else []
-        if self.move is move:
-            self.move = None
-            self._unit.untidy = True  # the buffer may keep its targets
         if not reasons:
             return Outcome("done", ended)
         if move.stopped_ns is not None and not error:
@@ -478,8 +493,6 @@ class Mover:
     async def _nothing_moved(self, move: Move) -> Outcome:
         """The end of a step in which the controller only drives a line, if anything."""
         wrong = await move.output.passive() if move.output is not None else ""
-        if self.move is move:
-            self.move = None
         ended = {name: Span(move.t0_ns, move.t0_ns) for name in move.lowered.durations_s}
         if wrong:
             return Outcome("fault", ended, wrong)

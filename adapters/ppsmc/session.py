@@ -24,6 +24,7 @@ SPOILER = "!"
 _FIRST_TOKEN = 1_000_000  # no port byte, and nothing that a person would choose
 _LAST_TOKEN = 2_000_000_000
 _MOST_LINES = 5000
+_LINES_AT_MOST = 14  # of an exchange that only asks
 _LONGEST_ANSWER = 120  # characters of one answer, for the time that it takes on a serial line
 _DELIMITERS = re.compile(r"[\r\n]")
 
@@ -148,10 +149,24 @@ class Session:
                 still()
             return await self._once(commands, queries)
 
+    def block_sent(self) -> None:
+        """`block` is on its way: it clears the unit's command buffers (L1409), and what was asked stays unanswered."""
+        self.blocked = True
+        for pending in list(self._pending.values()):
+            self.forget(pending)
+            self._lost.add(pending.token)
+            pending.fail(_blocked(self.link.place))
+
     async def ask_blocked(self) -> tuple[Line, Line]:
-        """`?s` and `?p`, which a blocked unit answers, too. `blocked` says whether it is."""
+        """`?s` and `?p`, which a blocked unit answers, too; asked again, for a block clears even them when it comes.
+
+        `blocked` says whether it is.
+        """
         async with self._turn:
-            return await self._ask_plain()
+            try:
+                return await self._ask_plain()
+            except DriverFault:
+                return await self._ask_plain()
 
     async def release(self) -> None:
         """`unblock`, in both of the manual's spellings (L1396, L3126); then everything is asked for anew."""
@@ -190,9 +205,13 @@ class Session:
             pending.timer.cancel()
         self._pending.pop(pending.token, None)
 
+    def alone(self) -> asyncio.Lock:
+        """Held by whoever must have nothing else under way on the connection."""
+        return self._turn
+
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
         """Begin no exchange that would still be executed when another writer writes, at `line_at_ns`."""
-        self._quiet = (line_at_ns - 10 * self._slow_ns - self.wire_ns(4 * _LONGEST_ANSWER), until_ns)
+        self._quiet = (line_at_ns - _LINES_AT_MOST * self._slow_ns - self.wire_ns(4 * _LONGEST_ANSWER), until_ns)
 
     def end_quiet(self) -> None:
         self._quiet = (0, 0)
