@@ -2,11 +2,10 @@
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import dataclass
-from math import ceil, floor
 
-from adapters.contract import CannotDo, DriverFault, Fired, FireOrder, Firer, Outcome, Span
+from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
 from adapters.ppsmc import loading
+from adapters.ppsmc.ending import Ending
 from adapters.ppsmc.lowering import AxisMove, SmcLowered
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.output import DrivenOutput
@@ -21,45 +20,13 @@ from adapters.ppsmc.replies import (
     Query,
 )
 from adapters.ppsmc.session import EOL, Pending, Session, refusal
+from adapters.ppsmc.step import Move
 from adapters.ppsmc.unitstate import Look, UnitState
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 
-_LOOK_NS = 50 * NS_PER_MS
 _LOOK_SOON_NS = 5 * NS_PER_MS
 # Status bits may still say ready for a moment after a start, as a client of real units has found.
 _LAG_NS = 500 * NS_PER_MS
-
-
-@dataclass(slots=True)
-class Move:
-    """A move that is loaded. output: what it switches. From `go` on it is released: with the order to fire and the
-    place of the answers behind what is fired, or with a program that waits. started: span of the start, when known."""
-
-    lowered: SmcLowered
-    t0_ns: int
-    output: DrivenOutput | None = None
-    ignore_limits: bool = False
-    released: bool = False
-    order: FireOrder | None = None
-    pending: Pending | None = None
-    started: Span | None = None
-    stopped_ns: int | None = None
-    taken_back: bool = False
-
-    @property
-    def motors(self) -> set[int]:
-        return {each.motor for each in self.lowered.moves}
-
-    @property
-    def waits(self) -> bool:
-        """Whether an input starts it."""
-        return self.lowered.wait is not None and bool(self.lowered.moves)
-
-    @property
-    def start_line(self) -> str:
-        if self.lowered.by_program:
-            return "start:"
-        return "tbg:iel" if self.ignore_limits else "tbg"
 
 
 class Mover:
@@ -70,7 +37,7 @@ class Mover:
         self._clock = clock
         self._firer = firer
         self._unit = unit
-        self._settle_ns = settle_ns
+        self._ending = Ending(options, clock, unit, settle_ns)
         self._output: DrivenOutput | None = None  # the last one that a step drove
         self.move: Move | None = None
 
@@ -410,85 +377,11 @@ class Mover:
         try:
             if not move.lowered.moves or move.started is None:
                 return await self._nothing_moved(move)
-            return await self._watched(move)
+            return await self._ending.watched(move)
         finally:
             if self.move is move:
                 self.move = None
                 self._unit.untidy = True  # the buffer may keep its targets
-
-    async def _watched(self, move: Move) -> Outcome:
-        assert move.started is not None
-        longest_s = max(move.lowered.durations_s.values())
-        due_ns = move.started.latest_ns + self._slow_ns(longest_s)
-        give_up_ns = due_ns + _LAG_NS + self._settle_ns
-        seen: dict[int, int] = {}
-        while True:
-            look = await self._unit.look()
-            for each in move.lowered.moves:
-                if look.ready(each.motor) and self._ended(move, each, look):
-                    seen.setdefault(each.motor, look.at_ns)
-                else:
-                    seen.pop(each.motor, None)
-            if len(seen) == len(move.lowered.moves) or look.at_ns > give_up_ns:
-                break
-            await self._pause(move, seen)
-        reasons, error = await self._judge(move, look)
-        ended = {name: Span(move.t0_ns, move.t0_ns) for name, s in move.lowered.durations_s.items() if s == 0.0}
-        for each in move.lowered.moves:
-            ended[each.name] = self._end(move, each, seen.get(each.motor, look.at_ns), look)
-        wrong = await move.output.passive() if move.output is not None else ""
-        error = error or bool(wrong)
-        reasons += [wrong] if wrong else []
-        if not reasons:
-            return Outcome("done", ended)
-        if move.stopped_ns is not None and not error:
-            return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
-        return Outcome("fault", ended, "; ".join(reasons))
-
-    def _ended(self, move: Move, axis: AxisMove, look: Look) -> bool:
-        """Whether an axis that says it is ready has ended: ready bits lag behind the start of a move."""
-        assert move.started is not None
-        if look.counts[axis.motor] == axis.end_counts or move.stopped_ns is not None:
-            return True
-        if look.bits[axis.motor] & (Bits.LIMIT_FORWARD | Bits.LIMIT_REVERSE | Bits.ENCODER_ERROR | Bits.BLOCKED):
-            return True
-        return look.at_ns > move.started.latest_ns + _LAG_NS
-
-    async def _pause(self, move: Move, seen: Mapping[int, int]) -> None:
-        """Until the next look: soon when an axis is about to end, so that its end is known well."""
-        assert move.started is not None
-        now_ns = self._clock.now_ns()
-        dues = [
-            move.started.earliest_ns + floor(move.lowered.durations_s[each.name] * NS_PER_S)
-            for each in move.lowered.moves
-            if each.motor not in seen
-        ]
-        soon = any(due - _LOOK_NS < now_ns < due + _LOOK_NS for due in dues)
-        await sleep_ns(self._clock, _LOOK_SOON_NS if soon else _LOOK_NS)
-
-    async def _judge(self, move: Move, look: Look) -> tuple[list[str], bool]:
-        """What is wrong with the end, and whether that is more than a stop on request."""
-        reasons: list[str] = []
-        error = False
-        said = {} if look.blocked else await self._unit.errors()
-        for each in move.lowered.moves:
-            bits, counts = look.bits[each.motor], look.counts[each.motor]
-            number, text = said.get(each.motor, (0, ""))
-            if not look.ready(each.motor):
-                error = True
-                reasons.append(f"axis {each.name} does not come to rest")
-            elif bits & Bits.ENCODER_ERROR:
-                error = True
-                reasons.append(f"axis {each.name}: its encoder does not show the target (closed loop has given up)")
-            elif number:
-                error = True
-                reasons.append(f"axis {each.name}: the unit reports error {number} {text}".rstrip())
-            elif counts != each.end_counts:
-                limit = bits & (Bits.LIMIT_FORWARD | Bits.LIMIT_REVERSE)
-                error = error or bool(limit) or move.stopped_ns is None
-                where = "on a limit switch, " if limit else ""
-                reasons.append(f"axis {each.name} stands {where}at {counts}, not at its target {each.end_counts}")
-        return reasons, error
 
     async def _nothing_moved(self, move: Move) -> Outcome:
         """The end of a step in which the controller only drives a line, if anything."""
@@ -498,23 +391,6 @@ class Mover:
             return Outcome("fault", ended, wrong)
         stopped = move.stopped_ns is not None
         return Outcome("stopped" if stopped else "done", ended, "stopped on request" if stopped else "")
-
-    def _end(self, move: Move, axis: AxisMove, seen_ns: int, look: Look) -> Span:
-        """When an axis ended: by its start and its duration, as far as the crystal may be wrong, and before it was
-        seen at rest."""
-        assert move.started is not None
-        if look.counts[axis.motor] != axis.end_counts:
-            return Span(min(move.started.earliest_ns, seen_ns), seen_ns)
-        duration_s = move.lowered.durations_s[axis.name]
-        earliest_ns = move.started.earliest_ns + floor(duration_s * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
-        latest_ns = seen_ns
-        if axis.motor not in self._unit.closed:
-            latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(duration_s))
-        return Span(min(earliest_ns, latest_ns), latest_ns)
-
-    def _slow_ns(self, duration_s: float) -> int:
-        """A duration by the slowest crystal."""
-        return ceil(duration_s * NS_PER_S * (1 + self._options.clock_ppm * 1e-6))
 
     def _require(self) -> Move:
         if self.move is None:
