@@ -143,6 +143,17 @@ CASES = {
     "ppsmc on TCP": case(
         "ppsmc", TCP, {"u": "1", "v": "2"}, PULSES, ORG, "tcp", decode_us=750, decode_spread_us=250, io_port=True
     ),
+    "ppsmc on serial": case(
+        "ppsmc",
+        {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600},
+        {"u": "1", "v": "2"},
+        PULSES,
+        ORG,
+        "serial",
+        decode_us=750,
+        decode_spread_us=250,
+        io_port=True,
+    ),
 }
 
 
