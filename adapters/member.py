@@ -88,8 +88,11 @@ class Member:
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
         self._check(request)
-        lowered = self._driver.lower(request.profiles, request.start, self._driver.mapping())
+        mapping = self._driver.mapping()
+        lowered = self._driver.lower(request.profiles, request.start, mapping)
+        at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
         return Proposal(
+            tick_at_fleet_ns=self._scale().fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
             durations_s=dict(lowered.durations_s),
             path_error_counts=dict(lowered.path_error_counts),
             costs=lowered.costs,
@@ -112,7 +115,7 @@ class Member:
             scale, mapping = self._scale(), self._driver.mapping()
             t0_ns = scale.host_ns(request.t0_fleet_ns)
             lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
-            how = request.start.model_copy(update={"lead_ns": lead_ns})
+            how = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
             lowered = self._driver.lower(request.profiles, how, mapping)
             if began_ns + lowered.costs.disarm_ns >= t0_ns:
                 raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")

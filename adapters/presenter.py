@@ -58,6 +58,7 @@ class Presenter:
         self._holders = holders
         self._events = EventRing(seat.instance)
         self._state_seq = 0
+        self.published_ns = 0
 
     async def serve(self) -> list[Declared]:
         """Answer for the last state, for missed events, and for who the controller is."""
@@ -113,6 +114,7 @@ class Presenter:
     def publish(self) -> None:
         """Put the state, and now and then the clock mapping."""
         self._state_seq += 1
+        self.published_ns = self._clock.now_ns()
         self._bus.put(self._keys.state(self._controller), self.state().to_json(), Priority.STATE)
         mapping = self._mapping()
         if mapping is not None and self._state_seq % CLOCK_EVERY == 0:

@@ -119,7 +119,7 @@ class Unit:
         """Reach the controller, serve it until the link breaks, and again, with growing pauses."""
         pause_ns = BACKOFF_FIRST_NS
         while True:
-            heartbeat = self._spawn(self._beat_offline())
+            heartbeat = self._spawn(self._beat())
             try:
                 if self._stop_owed:
                     await self._pay_owed_stop()
@@ -127,7 +127,6 @@ class Unit:
                 await self._driver.configure()
                 await self._referencing.load_limits(list(self._config.axes))
                 pause_ns = BACKOFF_FIRST_NS
-                heartbeat.cancel()
                 await self._serve()
             except LinkRefused as error:
                 self._offline(Fault(code="link-refused", text=str(error), remedy="check power, cable and address"))
@@ -139,7 +138,7 @@ class Unit:
                 self._offline(Fault(code=error.refusal.code, text=error.refusal.text, remedy=error.refusal.remedy))
             heartbeat.cancel()
             await self._driver.close()
-            heartbeat = self._spawn(self._beat_offline())
+            heartbeat = self._spawn(self._beat())
             await sleep_ns(self._clock, pause_ns)
             heartbeat.cancel()
             pause_ns = min(2 * pause_ns, BACKOFF_LONGEST_NS)
@@ -182,11 +181,13 @@ class Unit:
         while (until_ns := self._member.quiet_until_ns()) is not None:
             await sleep_until_ns(self._clock, until_ns + NS_PER_MS)
 
-    async def _beat_offline(self) -> None:
-        """The heartbeat of an adapter whose controller can not be polled."""
+    async def _beat(self) -> None:
+        """The adapter's heartbeat while its controller is not polled: it is out of reach, or its line is taken."""
+        beat_ns = round(NS_PER_S / self._config.state.idle_hz)
         while True:
-            self._presenter.publish()
-            await sleep_ns(self._clock, round(NS_PER_S / self._config.state.idle_hz))
+            if self._clock.now_ns() - self._presenter.published_ns >= beat_ns:
+                self._presenter.publish()
+            await sleep_ns(self._clock, beat_ns)
 
     def poke(self) -> None:
         """Poll soon: something has begun or ended."""

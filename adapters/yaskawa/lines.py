@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from adapters.contract import CannotDo
 from adapters.yaskawa.options import Options
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineDrive, LineWait, Term
+from orchestrator.model.messages import LineDrive, LineWait, StartWay, Term
 
 _NAME_IT = "name it in the fleet file"
 LOCAL_POINTS = 8  # AI takes local inputs only, OB local outputs (L2490, L630)
@@ -86,23 +87,25 @@ def wait_terms(asked: LineWait, waits: Wait, options: Options, tick_ns: float) -
     )
 
 
-def clock_terms(bound_ns: int, options: Options, tick_ns: float, beside: bool) -> tuple[Term, ...]:
+def clock_terms(bound_ns: int, options: Options, mapping: TickMapping, how: StartWay, beside: bool) -> tuple[Term, ...]:
     """The start about T0 by the controller's own clock. beside: a line is driven at the same sample, in a thread whose
     command may come first."""
+    tick_ns = mapping.tick_ns
     first, last = options.begin_ticks(tick_ns, beside)
     return (
-        *_at_sample(bound_ns, tick_ns),
+        *_at_sample(bound_ns, mapping, how),
         Term(name="tick", earliest_ns=0, latest_ns=math.ceil((last - first) * tick_ns)),
     )
 
 
-def edge_terms(bound_ns: int, options: Options, tick_ns: float) -> tuple[Term, ...]:
+def edge_terms(bound_ns: int, options: Options, mapping: TickMapping, how: StartWay) -> tuple[Term, ...]:
     """The edge about T0: OB comes behind the wait for XT0, as BG does, but takes effect at once."""
+    tick_ns = mapping.tick_ns
     first, _ = options.begin_ticks(tick_ns)
     ahead_ns = round(first * tick_ns)
     latest_ns = (options.begin_max_us + options.beside_us) * NS_PER_US
     return (
-        *_at_sample(bound_ns, tick_ns),
+        *_at_sample(bound_ns, mapping, how),
         Term(
             name="firmware",
             earliest_ns=options.decode_min_us * NS_PER_US - ahead_ns,
@@ -111,9 +114,14 @@ def edge_terms(bound_ns: int, options: Options, tick_ns: float) -> tuple[Term, .
     )
 
 
-def _at_sample(bound_ns: int, tick_ns: float) -> tuple[Term, Term]:
-    half_tick_ns = math.ceil(tick_ns / 2)
+def _at_sample(bound_ns: int, mapping: TickMapping, how: StartWay) -> tuple[Term, Term]:
+    """The sample that is next to T0: on either side of it, or where it is once T0 is known."""
+    half_tick_ns = math.ceil(mapping.tick_ns / 2)
+    off = (-half_tick_ns, half_tick_ns)
+    if how.exact:
+        t0_ns = mapping.host_at_ns + how.lead_ns
+        off = (mapping.host_ns(round(mapping.ticks(t0_ns))) - t0_ns,) * 2
     return (
         Term(name="clock", earliest_ns=-bound_ns, latest_ns=bound_ns),
-        Term(name="quantisation", earliest_ns=-half_tick_ns, latest_ns=half_tick_ns),
+        Term(name="quantisation", earliest_ns=off[0], latest_ns=off[1]),
     )

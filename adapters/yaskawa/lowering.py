@@ -331,10 +331,10 @@ def _promise(
         start_class="clock" if waits is None else "line",
         durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
         path_error_counts=errors,
-        terms=lines.clock_terms(bound_ns, options, tick_ns, drives is not None)
+        terms=lines.clock_terms(bound_ns, options, mapping, how, drives is not None)
         if waits is None or how.wait is None
         else lines.wait_terms(how.wait, waits, options, tick_ns),
-        edge=() if drives is None else lines.edge_terms(bound_ns, options, tick_ns),
+        edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, how),
         tick_ns=tick_ns,
         costs=costs.model_copy(
             update={

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from orchestrator.cli.bench_clocks import clock
+from orchestrator.cli.bench_clocks import clock, sync
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 if TYPE_CHECKING:
@@ -310,3 +310,4 @@ def _show_spreads(figures: "JogFigures | PermitFigures", as_json: bool) -> None:
 
 
 bench.add_command(clock)
+bench.add_command(sync)

@@ -1,5 +1,7 @@
 """`tutti bench clock` and `tutti bench sync`: how well clocks are known, and how well fleets start and end together."""
 
+from pathlib import Path
+
 import click
 
 from orchestrator.cli.common import console, json_option, print_json
@@ -30,3 +32,46 @@ def clock(as_json: bool, trials: int, seed: int) -> None:
             row.link, *(str(each) for each in (*errors, row.bound_us, row.misses, row.cristian_us, row.regression_us))
         )
     console.print(table)
+
+
+@click.command(epilog="Example: tutti bench sync --trials 100 --plot skews.png")
+@json_option
+@click.option("--trials", default=1000, show_default=True, type=click.IntRange(2, 1_000_000), help="Steps of a row.")
+@click.option("--seed", default=1, show_default=True, help="Of everything random.")
+@click.option("--only", default="", metavar="TEXT", help="Only rows whose fleet or way holds this.")
+@click.option(
+    "--history", default=300, show_default=True, type=click.IntRange(5, 3600), help="Seconds of polls before."
+)
+@click.option(
+    "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Distributions of the start skews, a PNG."
+)
+def sync(as_json: bool, trials: int, seed: int, only: str, history: int, plot: Path | None) -> None:
+    """Start simulated fleets together, by the old ways and by Tutti's, and measure how well; in virtual time.
+
+    Truth comes from the simulators. `misses` counts verdicts that do not hold it. Rows that are slow to simulate have
+    fewer trials. A thousand trials take an hour or so; a hundred, with --history 60, some minutes.
+    """
+    from orchestrator.lab.bench_sync import bench_sync
+    from orchestrator.monitor.skew_plot import plot_skews
+    from orchestrator.monitor.tables import plain_table
+
+    rows, starts = bench_sync(
+        trials, seed, only, history, lambda row: None if as_json else console.print(f"[dim]{row.fleet}: {row.way}[/]")
+    )
+    if plot is not None:
+        plot_skews(starts, plot)
+    if as_json:
+        print_json({"rows": [row._asdict() for row in rows], "trials": trials, "seed": seed, "history_s": history})
+        return
+    table = plain_table(["start skew, ms", "p50>", "p99>", "max>", "end>", "path>", "budget>", "n>", "missed>"])
+    for row in rows:
+        later = (row.end_p99, row.path_p99, row.budget)
+        figures = (row.start_p50, row.start_p99, row.start_max, *later)
+        shown = ["" if each is None else f"{each:.3g}" for each in figures]
+        table.add_row(f"{row.fleet}, {row.way}", *shown, str(row.trials), "" if row.misses is None else str(row.misses))
+    console.print(table)
+    console.print("end, path: p99 of the skew at the end and on the way; budget: predicted, guaranteed, its median.")
+    for row in rows:
+        if row.asked:
+            kept = "kept" if row.met else "[red]not kept[/]"
+            console.print(f"{row.fleet}, {row.way}: asked {row.asked}: {kept}; worst is {row.worst}")

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.budget import judge, skew
 from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
@@ -29,12 +29,14 @@ from orchestrator.model.messages import (
     Stop,
 )
 from orchestrator.model.report import JobState, MemberReport, StepReport
-from orchestrator.model.state import AxisState, Event, Info
+from orchestrator.model.state import AxisEvidence, AxisState, Event, Info, Interval
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import Targets, plan_step
 
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
+STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other member on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
+ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
 
@@ -158,7 +160,9 @@ class Motion:
             await on_state("arming", "")
             if growth > 1:
                 await self._proposing.again(moving, step, growth)
-            moving.t0_fleet_ns = self._throne.fleet_now_ns() + moving.lead_ns
+            if step.align and growth == 1:
+                await self._await_alignment(moving, step)
+            moving.t0_fleet_ns = self._proposing.start(moving, self._throne.fleet_now_ns() + moving.lead_ns, 0)
             await self._arm(moving, step)
             await self._judge_frozen(moving, job, step)
             # Commit and go need their time too, and after it a failure must still leave time to disarm.
@@ -188,6 +192,14 @@ class Motion:
             raise Refuse("deposed", "another coordinator has taken over")
         await on_state("committed", "")
         await self._go(moving)
+
+    async def _await_alignment(self, moving: Moving, step: Move) -> None:
+        """Wait until arming leads to the moment at which the members' ticks fall closest together, and ask again: by
+        then they know their clocks better."""
+        soonest_ns = self._throne.fleet_now_ns() + moving.lead_ns
+        best_ns = self._proposing.start(moving, soonest_ns, step.align)
+        await sleep_ns(self._clock, max(0, best_ns - soonest_ns - ALIGN_EARLY_NS))
+        await self._proposing.again(moving, step, 1)
 
     async def _arm(self, moving: Moving, step: Move) -> None:
         requests = {
@@ -264,7 +276,8 @@ class Motion:
                 member = event.controller
                 if event.kind in ("started", "done"):
                     waiting_start.discard(member)
-                    reports[member] = reports[member].model_copy(update={"evidence": event.evidence})
+                    evidence = {axis: self._narrowed(moving, member, each) for axis, each in event.evidence.items()}
+                    reports[member] = reports[member].model_copy(update={"evidence": evidence})
                 if event.kind == "done":
                     waiting_end.discard(member)
                 if event.kind in ("failed", "stopped", "disarmed"):
@@ -288,7 +301,10 @@ class Motion:
         lost = moving.lost_permit()
         if lost is not None:
             return "failed", lost
-        if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS:
+        # Those on one line are asked in turns whether they have started.
+        places = [self._view.fleet.controllers[member].link.place for member in moving.proposals]
+        in_turns = max(places.count(place) for place in places) - 1
+        if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS + in_turns * STARTED_TURN_NS:
             return "failed", f"{min(waiting_start)}: promised, and has not started"
         if waiting_end and now_ns > ends_ns + SETTLE_NS:
             return "failed", f"{min(waiting_end)}: has not come to its end"
@@ -305,6 +321,18 @@ class Motion:
             return None
         about = (event.job, event.step) == (moving.job_id, moving.index)
         return event if about and event.controller in moving.proposals else None
+
+    def _narrowed(self, moving: Moving, member: str, evidence: AxisEvidence) -> AxisEvidence:
+        """A start that the controller's evidence and the member's promise both allow; the evidence where they disagree,
+        for then something was outside the model."""
+        window = moving.budget.members[member] if moving.budget is not None else None
+        if window is None:
+            return evidence
+        earliest_ns = max(evidence.start.earliest_ns, moving.t0_fleet_ns + window.earliest_ns)
+        latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns)
+        if earliest_ns > latest_ns:
+            return evidence
+        return evidence.model_copy(update={"start": Interval(earliest_ns=earliest_ns, latest_ns=latest_ns)})
 
     def _member_report(self, moving: Moving, member: str) -> MemberReport:
         proposal, armed = moving.proposals[member], moving.armed[member]

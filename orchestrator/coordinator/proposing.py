@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.coordinator.alignment import Grid, closest
 from orchestrator.coordinator.budget import Window, make_budget
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import LineStart, Moving
@@ -57,6 +58,15 @@ class Proposing:
             raise refused
         moving.plan, moving.line, moving.proposals = agreed.plan, agreed.line, agreed.proposals
         moving.lead_ns, moving.budget = agreed.lead_ns, agreed.budget
+
+    def start(self, moving: Moving, from_ns: int, within_ns: int) -> int:
+        """The start instant from `from_ns` on, fleet time, at which the members' ticks fall closest together."""
+        grids = [
+            Grid(each.tick_at_fleet_ns, each.tick_ns)
+            for member, each in moving.proposals.items()
+            if each.tick_at_fleet_ns is not None and moving.profiles(member)
+        ]
+        return closest(grids, from_ns, within_ns)[0]
 
     async def again(self, moving: Moving, step: Move, growth: int) -> None:
         """Once more for a longer lead: clocks have to hold for longer."""

@@ -34,6 +34,12 @@ class Move(StepBase):
         default="common", description="Trapezoids under `sync: time`: one ramp time for all, or each its steepest."
     )
     start: StartWish = Field(default="auto", description="Start class to use, if not the best.")
+    align: Duration = Field(
+        default=0,
+        ge=0,
+        le=600 * 1_000_000_000,
+        description="How long the start may wait for the moment at which the controllers' ticks fall closest together.",
+    )
     max_start_skew: Duration | None = Field(default=None, description="Overrides the job's.")
     max_end_skew: Duration | None = Field(default=None, description="Overrides the job's.")
 

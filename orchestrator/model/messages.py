@@ -101,11 +101,12 @@ class StartWay(Model):
 
     by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far T0 is ahead of the last reading
     of the controller's clock, at the most: what is promised of clocks is promised for so long. drive: a member may
-    drive a line and move axes as well, or only drive it (no profiles).
+    drive a line and move axes as well, or only drive it (no profiles). exact: T0 is just so far ahead.
     """
 
     by: StartWish = "auto"
     lead_ns: Int53 = 0
+    exact: bool = False
     wait: LineWait | None = None
     drive: LineDrive | None = None
 
@@ -135,6 +136,7 @@ class Proposal(Reply):
     costs: Costs | None = None
     start_class: StartClass = "host"
     tick_ns: float = 0.0
+    tick_at_fleet_ns: Int53 | None = Field(default=None, description="One of the ticks that it could start at.")
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
     commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
@@ -150,7 +152,7 @@ class Arm(StepRef):
 
 
 class Armed(Reply):
-    """The step is loaded. terms, edge: as in the proposal, with the clock mapping that is frozen into it."""
+    """The step is loaded. terms, edge: as in the proposal, with the clock mapping that is frozen into it, at T0."""
 
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[])

@@ -1,0 +1,298 @@
+"""How well fleets start, stay and end together: whole coordinators in virtual time, judged by the simulators' truth.
+
+A world is a fleet with crystals of its own that has polled its controllers for a while; in it one step after the other
+is run, there and back, after pauses of random length, so that every start meets other phases of the servo ticks.
+"""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any, NamedTuple
+
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.lab.sync_baselines import BASELINES, Baseline
+from orchestrator.lab.sync_fleets import sync_fleet
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.job import Job
+from orchestrator.model.report import JobReport, StepRecording
+
+HISTORY_S = 300
+STEPS_A_WORLD = 40
+LOOKS = 24  # at the path of each step
+PEAK_SHARE = 0.1  # of the peak velocity, below which a distance is no time
+PAUSE_NS = 3 * NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A row: a fleet, and how it moves.
+
+    cruise_s: at half the speed limit. step: more fields of the move. trials: share of those asked for. most_ms: what
+    its figures may be at the most.
+    """
+
+    name: str
+    fleet: str
+    cruise_s: float = 0.6
+    limits: dict[str, float] = field(default_factory=dict[str, float])
+    step: dict[str, Any] = field(default_factory=dict[str, Any])
+    trials: float = 1.0
+    asked: str = ""
+    most_ms: dict[str, float] = field(default_factory=dict[str, float])
+
+
+TICK_MS = 1000 / 1024
+CASES = (
+    Case(
+        "clock",
+        "8 SMC-4000",
+        asked="p99 1 tick + 0.15 ms, p50 0.7 tick",
+        most_ms={"start_p99": TICK_MS + 0.15, "start_p50": 0.7 * TICK_MS},
+    ),
+    Case("clock", "64 SMC-4000", trials=0.1, asked="p99 1 tick + 0.2 ms", most_ms={"start_p99": TICK_MS + 0.2}),
+    Case(
+        "clock, align 10 s",
+        "2 SMC-4000",
+        step={"align": "10 s"},
+        asked="p50 0.12, p99 0.5 ms",
+        most_ms={"start_p50": 0.12, "start_p99": 0.5},
+    ),
+    Case(
+        "clock, align 300 s",
+        "2 SMC-4000",
+        step={"align": "300 s"},
+        trials=0.3,
+        asked="p99 0.3 ms",
+        most_ms={"start_p99": 0.3},
+    ),
+    Case(
+        "clock, contour",
+        "8 SMC-4000",
+        limits={"jerk": 20_000.0},
+        trials=0.5,
+        asked="path p99 0.3 ms",
+        most_ms={"path_p99": 0.3},
+    ),
+    Case(
+        "clock, 60 s",
+        "8 SMC-4000",
+        cruise_s=60.0,
+        trials=0.3,
+        asked="end, path p99 1 tick + 0.3 ms",
+        most_ms={"end_p99": TICK_MS + 0.3, "path_p99": TICK_MS + 0.3},
+    ),
+    Case("clock", "8 SMC-2000, own ports", asked="p99 2 ms", most_ms={"start_p99": 2.0}),
+    Case("clock", "8 SMC-2000, one chain", trials=0.2),
+    Case("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    Case("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    Case("line", "mixed, lines", step={"start": "line"}, trials=0.5),
+    Case("best", "mixed with pp", asked="p99 9 ms", most_ms={"start_p99": 9.0}),
+)
+
+
+class SyncFigures(NamedTuple):
+    """Skews in ms: of starts, ends, and on the way. budget: predicted, guaranteed, its median. width: of the verdict's
+    interval, its median. misses: verdicts that do not hold the truth. worst: member and term that the budget names."""
+
+    fleet: str
+    way: str
+    trials: int
+    start_p50: float
+    start_p99: float
+    start_max: float
+    end_p99: float | None
+    path_p99: float | None
+    budget: float | None
+    width: float | None
+    misses: int | None
+    worst: str
+    asked: str
+    met: bool | None
+
+
+class Trial(NamedTuple):
+    """One step, ns."""
+
+    start_ns: int
+    end_ns: int
+    path_ns: float
+    budget_ns: int
+    width_ns: int
+    missed: bool
+    worst: str
+
+
+def bench_sync(
+    trials: int,
+    seed: int = 1,
+    only: str = "",
+    history_s: int = HISTORY_S,
+    told: Callable[[SyncFigures], None] = lambda _: None,
+) -> tuple[list[SyncFigures], dict[str, list[float]]]:
+    """All rows whose fleet or way holds `only`, the old ways first; with the start skews of each, ms, for plots."""
+    rows: list[SyncFigures] = []
+    starts: dict[str, list[float]] = {}
+
+    def take(row: SyncFigures, skews_ms: list[float]) -> None:
+        rows.append(row)
+        starts[f"{row.fleet}: {row.way}"] = skews_ms
+        told(row)
+
+    for baseline in BASELINES:
+        if only in f"{baseline.fleet}: {baseline.way}":
+            take(*_baseline(baseline, trials, seed))
+    for case in CASES:
+        if only in f"{case.fleet}: {case.name}":
+            take(*_row(case, max(2, round(trials * case.trials)), seed, history_s))
+    return rows, starts
+
+
+def _baseline(baseline: Baseline, trials: int, seed: int) -> tuple[SyncFigures, list[float]]:
+    skews_ms = [
+        run_virtual(lambda clock, k=k: baseline.trial(clock, Random(f"{seed} {k}"))) / 1e6 for k in range(trials)
+    ]
+    figures = SyncFigures(
+        baseline.fleet, baseline.way, trials, *_spread(skews_ms), None, None, None, None, None, "", "", None
+    )
+    return figures, skews_ms
+
+
+def _row(case: Case, trials: int, seed: int, history_s: int) -> tuple[SyncFigures, list[float]]:
+    found: list[Trial] = []
+    world = 0
+    while len(found) < trials:
+        steps = min(STEPS_A_WORLD, trials - len(found))
+        found += run_virtual(lambda clock, w=world, n=steps: _world(clock, case, seed * 1000 + w, n, history_s))
+        world += 1
+    starts = [each.start_ns / 1e6 for each in found]
+    figures = SyncFigures(
+        fleet=case.fleet,
+        way=case.name,
+        trials=len(found),
+        **dict(zip(("start_p50", "start_p99", "start_max"), _spread(starts), strict=True)),
+        end_p99=_share([each.end_ns / 1e6 for each in found], 0.99),
+        path_p99=_share([each.path_ns / 1e6 for each in found], 0.99),
+        budget=_share([each.budget_ns / 1e6 for each in found], 0.5),
+        width=_share([each.width_ns / 1e6 for each in found], 0.5),
+        misses=sum(each.missed for each in found),
+        worst=max({each.worst for each in found}, key=lambda name: sum(each.worst == name for each in found)),
+        asked=case.asked,
+        met=None,
+    )
+    met = all(getattr(figures, name) <= most for name, most in case.most_ms.items()) if case.most_ms else None
+    return figures._replace(met=met), starts
+
+
+async def _world(clock: VirtualClock, case: Case, seed: int, steps: int, history_s: int) -> list[Trial]:
+    draw = Random(f"{case.name} {case.fleet} {seed}")
+    fleet = VirtualFleet(sync_fleet(case.fleet, seed, **case.limits), clock, seed, guardian=False)
+    await fleet.start()
+    names = list(fleet.fleet.controllers)
+    await _run(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
+    await sleep_ns(clock, history_s * NS_PER_S)
+    found: list[Trial] = []
+    for k in range(steps):
+        await sleep_ns(clock, draw.randrange(PAUSE_NS))
+        targets = {
+            f"{name}.x": (limits.velocity * (0.2 + 0.5 * case.cruise_s)) if k % 2 == 0 else 0.0
+            for name in names
+            for limits in [fleet.fleet.controllers[name].axes["x"].limits]
+        }
+        move = {"do": "move", "to": targets, "speed": 0.5, **case.step}
+        found.append(await _trial(fleet, move, round(case.cruise_s / LOOKS * NS_PER_S), draw))
+    return found
+
+
+async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> Trial:
+    before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+    seen: list[tuple[int, dict[str, float]]] = []
+    watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
+    report = await _run(fleet, [move])
+    watching.cancel()
+    step = report.steps[0]
+    client = fleet.client("path")
+    recording = await client.recording(report.job_id, 0)
+    await client.close()
+    assert recording is not None
+    made = [each.motions[before[name]] for name, each in fleet.controllers.items()]
+    origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+    start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
+    ends = [motion.end_ns for motion in made if motion.end_ns is not None]
+    skew, budget = step.start_skew, step.budget
+    assert skew is not None and budget is not None
+    missed = not skew.at_least_ns <= start_ns <= skew.at_most_ns
+    for name, motion in zip(fleet.controllers, made, strict=True):
+        for evidence in step.members[name].evidence.values():
+            missed = missed or not evidence.start.earliest_ns <= motion.start_ns - origin_ns <= evidence.start.latest_ns
+    return Trial(
+        start_ns,
+        max(ends) - min(ends),
+        _path_skew(recording, origin_ns, seen),
+        budget.predicted_ns,
+        skew.at_most_ns - skew.at_least_ns,
+        missed,
+        f"{budget.worst_member}, {budget.worst_term}",
+    )
+
+
+async def _watch_path(
+    fleet: VirtualFleet, every_ns: int, draw: Random, seen: list[tuple[int, dict[str, float]]]
+) -> None:
+    """Take down where all axes really are (counts), at random instants."""
+    motors = {name: config.axes["x"].motors[0] for name, config in fleet.fleet.controllers.items()}
+    while True:
+        await sleep_ns(fleet.clock, every_ns // 2 + draw.randrange(every_ns))
+        where = {f"{name}.x": each.position(motors[name]) for name, each in fleet.controllers.items()}
+        seen.append((fleet.clock.now_ns(), where))
+
+
+def _path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
+    """How far the axes' places on the plan are apart in time, ns, at the most: (position - plan) / planned velocity,
+    where that is at least a tenth of the axis's peak."""
+    worst_ns = 0.0
+    at = {axis: each.profile.evaluator() for axis, each in recording.axes.items()}
+    for now_ns, where in seen:
+        since_s = (now_ns - origin_ns - recording.t0_fleet_ns) * 1e-9
+        late: list[float] = []
+        for axis, each in recording.axes.items():
+            if not 0.0 < since_s < each.profile.duration_s:
+                continue
+            planned = at[axis](since_s)
+            if abs(planned.velocity) >= PEAK_SHARE * each.profile.peak_velocity:
+                off = where[axis] - each.profile.start_counts - planned.position
+                late.append(off / planned.velocity * 1e9)
+        if len(late) > 1:
+            worst_ns = max(worst_ns, max(late) - min(late))
+    return worst_ns
+
+
+async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
+    job = Job.model_validate(
+        {
+            "schema": "tutti.job/1",
+            "name": "sync",
+            "max_start_skew": "500 ms",
+            "max_end_skew": "500 ms",
+            "steps": steps,
+        }
+    )
+    client = fleet.client("sync")
+    try:
+        report = await client.wait(await client.submit(job))
+    finally:
+        await client.close()
+    if report.state != "done":
+        raise RuntimeError(f"the step has not run: {report.reason}")
+    return report
+
+
+def _spread(values: list[float]) -> tuple[float, float, float]:
+    return _share(values, 0.5), _share(values, 0.99), _share(values, 1.0)
+
+
+def _share(values: list[float], share: float) -> float:
+    """Percentile by nearest rank."""
+    ordered = sorted(values)
+    return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3)

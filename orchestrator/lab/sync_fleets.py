@@ -1,0 +1,140 @@
+"""Simulated fleets for measuring how well starts and ends fall together: links, firmware and crystals as they vary."""
+
+from collections.abc import Mapping
+from random import Random
+from typing import Any
+
+from orchestrator.model.fleet import Fleet
+
+SPREAD_US = 50  # of a Yaskawa's firmware; its half millisecond a command is in the manuals
+HOLD_MS = 16.0  # the latency timer of a USB serial adapter
+DRIFT_PPM = 50.0
+WANDER_PPM = 0.05
+
+_SERVO = {"unit": "mm", "scale": 1000, "limits": {"velocity": 200, "acceleration": 1000}}
+_STAGE = {
+    "unit": "mm",
+    "scale": 10_000,
+    "limits": {"velocity": 8, "acceleration": 40},
+    "start_rate": {"min": 0.01, "max": 0.4},
+}
+_STEPS = {
+    "unit": "mm",
+    "scale": 1000,
+    "limits": {"velocity": 10, "acceleration": 50},
+    "start_rate": {"min": 0.05, "max": 0.4},
+}
+_PULSES = {
+    "unit": "counts",
+    "limits": {"velocity": 80_000, "acceleration": 400_000},
+    "start_rate": {"min": 100, "max": 4000},
+}
+_YASKAWA = {"axes": 2, "home_edge": {"X": -2000}, "index_every": {"X": 200}}
+_LINE = {"inputs": {"start": {"number": 1, "active": "low"}}}
+
+
+def _controller(
+    adapter: str, link: Mapping[str, Any], axis: Mapping[str, Any], motor: str, simulate: Mapping[str, Any], **more: Any
+) -> dict[str, Any]:
+    homing = {"homing": {"speed": axis["limits"]["velocity"] / 5}}
+    return {
+        "adapter": adapter,
+        "link": dict(link),
+        "axes": {"x": {**axis, **homing, "motors": [motor]}},
+        "simulate": dict(simulate),
+        **more,
+    }
+
+
+def _serial(number: int, baud: int, **more: Any) -> dict[str, Any]:
+    return {"kind": "serial", "device": f"/dev/ttyUSB{number}", "baud": baud, **more}
+
+
+def smc4000(number: int) -> dict[str, Any]:
+    link = {"kind": "tcp", "host": f"10.0.0.{number + 1}", "port": 23}
+    simulate = {"options": _YASKAWA, "decode_us": 500, "spread_us": SPREAD_US}
+    return _controller("smc4000", link, _SERVO, "X", simulate, **_LINE)
+
+
+def smc2000(number: int, unit: int | None = None) -> dict[str, Any]:
+    """On a port of its own, or with an address on a chain."""
+    more = {} if unit is None else {"unit": unit}
+    simulate = {"options": _YASKAWA, "decode_us": 500, "spread_us": SPREAD_US, "hold_ms": HOLD_MS}
+    return _controller("smc2000", _serial(number, 19200, **more), _SERVO, "X", simulate, **_LINE)
+
+
+def shrc203(number: int) -> dict[str, Any]:
+    simulate = {
+        "options": {"divide": 20, "speed": [100, 20000, 100]},
+        "decode_us": 1000,
+        "spread_us": 800,
+        "hold_ms": HOLD_MS,
+    }
+    options = {"nm_per_pulse": 100}
+    return _controller("shrc203", _serial(number, 38400), _STAGE, "1", simulate, options=options, **_LINE)
+
+
+def smc30(number: int, unit: int) -> dict[str, Any]:
+    link = _serial(number, 9600, data_bits=7, parity="odd", unit=unit)
+    simulate = {"options": {"checksum": True, "travel_steps": [-20_000, 400_000]}, "spread_us": 200, "hold_ms": HOLD_MS}
+    return _controller("smc30", link, _STEPS, "1", simulate, **_LINE)
+
+
+def ppsmc(number: int) -> dict[str, Any]:
+    link = {"kind": "tcp", "host": f"10.0.1.{number + 1}", "port": 1234}
+    # Behind a Windows tick: nothing in it is steadier.
+    simulate = {"options": {"axes": 1, "org_steps": {"1": [-9000, -2000]}}, "decode_us": 5000, "spread_us": 15_000}
+    return _controller("ppsmc", link, _PULSES, "1", simulate)
+
+
+def mixed(pp: bool) -> dict[str, dict[str, Any]]:
+    """Two of each make; the SMC30 share a bus."""
+    controllers = {
+        "a1": smc4000(0),
+        "a2": smc4000(1),
+        "b1": smc2000(0),
+        "b2": smc2000(1),
+        "c1": shrc203(2),
+        "c2": shrc203(3),
+        "d1": smc30(4, 1),
+        "d2": smc30(4, 2),
+    }
+    return controllers | ({"e1": ppsmc(0), "e2": ppsmc(1)} if pp else {})
+
+
+def wired(controllers: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """One output of the first controller to an input of all others."""
+    names = list(controllers)
+    first = {**controllers[names[0]], "outputs": {"start": {"number": 1}}}
+    wire = {"from": f"{names[0]}.start", "to": [f"{name}.start" for name in names[1:]], "delay_us": [5, 50]}
+    return {"controllers": {**controllers, names[0]: first}, "wiring": [wire]}
+
+
+FLEETS: dict[str, dict[str, Any]] = {
+    "8 SMC-4000": {"controllers": {f"a{k}": smc4000(k) for k in range(8)}},
+    "2 SMC-4000": {"controllers": {f"a{k}": smc4000(k) for k in range(2)}},
+    "8 SMC-2000, own ports": {"controllers": {f"b{k}": smc2000(k) for k in range(8)}},
+    "8 SMC-2000, one chain": {"controllers": {f"b{k}": smc2000(0, k) for k in range(8)}},
+    "mixed": {"controllers": mixed(False)},
+    "mixed, lines": wired(mixed(False)),
+    "mixed with pp": {"controllers": mixed(True)},
+    "64 SMC-4000": {"controllers": {f"a{k}": smc4000(k) for k in range(64)}},
+}
+"""Fleets by the name of their row."""
+
+
+def sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
+    """The fleet `name` with crystals drawn by `seed`, and limits of all axes changed, e.g. `jerk`."""
+    draw = Random(f"{name} {seed}")
+    plain = FLEETS[name]
+    controllers: dict[str, Any] = {}
+    for each, config in plain["controllers"].items():
+        crystal = {
+            "offset_s": draw.uniform(0, 600),
+            "drift_ppm": draw.uniform(-DRIFT_PPM, DRIFT_PPM),
+            "wander_ppm": WANDER_PPM,
+        }
+        axis = config["axes"]["x"]
+        axes = {"x": {**axis, "limits": {**axis["limits"], **limits}}}
+        controllers[each] = {**config, "axes": axes, "simulate": {**config["simulate"], **crystal}}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "sync", **plain, "controllers": controllers})

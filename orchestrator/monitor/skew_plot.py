@@ -1,0 +1,39 @@
+"""How start skews are distributed, way by way, as a picture."""
+
+# Matplotlib types its keyword arguments only in part.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+WIDTH, ROW, DPI = 9.0, 0.36, 120
+COLOUR_OLD, COLOUR_NEW = "#9aa5b1", "#c2410c"
+LEAST_MS = 0.005  # what is less stands at the edge
+
+
+def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
+    """Write a picture: a row for each way, its trials from the first to the last percentile, the median marked.
+
+    skews_ms: by `fleet: way`; ways that begin with `old` are drawn as baselines.
+    """
+    mpl.rcParams["font.size"] = 9
+    figure = Figure(figsize=(WIDTH, 1.0 + ROW * len(skews_ms)), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for row, (name, values) in enumerate(reversed(list(skews_ms.items()))):
+        ordered = sorted(max(each, LEAST_MS) for each in values)
+        low, middle, high = (ordered[min(len(ordered) - 1, int(share * len(ordered)))] for share in (0.01, 0.5, 0.99))
+        colour = COLOUR_OLD if ": old" in name else COLOUR_NEW
+        axes.plot([low, high], [row, row], color=colour, linewidth=5, solid_capstyle="round")
+        axes.plot([middle], [row], "|", color="black", markersize=11)
+        axes.annotate(f"{high:.2g} ms", (high, row), xytext=(7, -3), textcoords="offset points", fontsize=8)
+    axes.set_yticks(range(len(skews_ms)), [*reversed(list(skews_ms))])
+    axes.set_xscale("log")
+    axes.set_xlabel("start skew, ms: first to 99th percentile, the mark is the median (the old ways grey)")
+    axes.grid(axis="x", which="both", alpha=0.3)
+    axes.margins(x=0.12)
+    figure.savefig(path)
