@@ -8,17 +8,22 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.state import Costs
 
 _LINES_PER_AXIS = 6  # frun, ffast, acc, dec, tbs, and one to spare
-_LINES = 34  # the looks before and after, tokens, tbc, the program's frame, inputs and outputs
+_LINES = 34  # the look before, tokens, tbc, the program's frame, inputs and outputs; and a poll that is under way
+_VERIFY_LINES = 22  # the look before the promise, for which there must be time as well; and a poll
 _LINE_CHARACTERS = 24
 _SETTINGS_CHARACTERS = 600  # of ?conf for one axis
 _DISARM_LINES = 14
+_WAIT_LINES = 30  # `go` starts the program that waits: it must come so much before its line at the latest
 _STOP_LINES = 4
 _HOST_NS = 20 * NS_PER_MS  # event loop and operating system, for all exchanges of a call
 _SLOWEST_STOP_S = 2.0  # of a ramp in a step; see `trapezoid`
 
 
-def costs(options: Options, char_ns: int, installed: int, stop_s: float) -> Costs:
-    """Bounds in ns for links with this character time. installed: axes of the unit. stop_s: the longest ramp."""
+def costs(options: Options, char_ns: int, installed: int, stop_s: float, waits: bool = False) -> Costs:
+    """Bounds in ns for links with this character time.
+
+    installed: axes of the unit. stop_s: the longest ramp. waits: of a step that a line starts.
+    """
     slow_ns = options.decode_ns[1]
     wire_ns = 2 * options.wire_jitter_us * NS_PER_US
 
@@ -26,8 +31,8 @@ def costs(options: Options, char_ns: int, installed: int, stop_s: float) -> Cost
         return lines * (slow_ns + _LINE_CHARACTERS * char_ns) + characters * char_ns + exchanges * wire_ns + _HOST_NS
 
     return Costs(
-        arm_ns=take_ns(_LINES + _LINES_PER_AXIS * installed, _SETTINGS_CHARACTERS * installed, 6),
-        disarm_ns=take_ns(_DISARM_LINES, 0, 4),
+        arm_ns=take_ns(_LINES + _VERIFY_LINES + _LINES_PER_AXIS * installed, _SETTINGS_CHARACTERS * installed, 6),
+        disarm_ns=take_ns(_DISARM_LINES + (_WAIT_LINES if waits else 0), 0, 4),
         stop_ns=take_ns(_STOP_LINES, 0, 1) + round(stop_s * NS_PER_S),
     )
 

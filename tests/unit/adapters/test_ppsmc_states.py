@@ -349,3 +349,43 @@ def test_polls_beside_everything_harm_nothing() -> None:
         polling.cancel()
 
     run(case)
+
+
+def test_an_encoder_that_is_only_read_shows_where_the_stage_is() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        bench.unit.set_stalled("1", True)
+        assert (await bench.move({"x": 4000})).state == "done"
+        reading = await bench.driver.poll()
+        assert reading.axes["x"].commanded_counts == 4000 and reading.axes["x"].actual_counts == 0.0
+        assert reading.axes["y"].actual_counts == reading.axes["y"].commanded_counts
+
+    run(case, simulate=CLOSED, config=controller(options={"encoders": ["x"]}))
+
+
+@pytest.mark.parametrize("lead_ms", [320, 200, 120, 80, 50, 30])
+def test_a_poll_that_is_under_way_never_delays_a_start(lead_ms: int) -> None:
+    """A question still unanswered would be executed before the starting line: the order waits for it, or is late."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        lowered = await bench.lowered({"x": 3000})
+        t0_ns = bench.clock.now_ns() + lowered.costs.arm_ns
+        await bench.driver.arm(lowered, t0_ns, None)
+        await bench.driver.verify()
+        await bench.until(t0_ns - lead_ms * NS_PER_MS)
+        polling = asyncio.get_running_loop().create_task(bench.driver.poll())
+        await sleep_ns(bench.clock, NS_PER_MS)
+        try:
+            await bench.driver.go()
+        except CannotDo as error:
+            assert error.refusal.code == "late" and lead_ms < 200
+            await bench.driver.disarm()
+            assert not bench.moved()
+        else:
+            await bench.followed()
+            earliest_ns, latest_ns = lowered.window_ns
+            assert earliest_ns <= bench.moved()[-1].start_ns - t0_ns <= latest_ns
+        await polling
+
+    run(case)
