@@ -4,7 +4,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.state import ClockMapping
 
 
-def clock_mapping(controller: str, mapping: TickMapping) -> ClockMapping:
+def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMapping:
     """The bus form of a mapping. It counts as valid until its bound has grown by a tick."""
     return ClockMapping(
         controller=controller,
@@ -14,6 +14,8 @@ def clock_mapping(controller: str, mapping: TickMapping) -> ClockMapping:
         rate_ppm=mapping.rate_ppm,
         residual_ns=mapping.residual_ns,
         bound_ns=mapping.bound_ns,
+        drift_ppm=mapping.drift_ppm,
+        age_ns=max(0, now_ns - mapping.host_at_ns),
         samples=mapping.samples,
         min_rtt_ns=mapping.min_rtt_ns,
         valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),

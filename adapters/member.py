@@ -134,7 +134,7 @@ class Member:
             return Armed(
                 terms=list(lowered.terms),
                 edge=list(lowered.edge),
-                mapping=None if mapping is None else clock_mapping(self._controller, mapping),
+                mapping=None if mapping is None else clock_mapping(self._controller, mapping, began_ns),
                 took_ns=self._clock.now_ns() - began_ns,
                 stages_ns=dict(stages),
             )

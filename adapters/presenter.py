@@ -20,6 +20,7 @@ from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
     ClockQuality,
+    ClockReply,
     ControllerState,
     Event,
     EventKind,
@@ -67,7 +68,16 @@ class Presenter:
             await bus.serve(keys.state(self._controller), self._answer_state),
             await bus.serve(keys.event(self._controller), self._answer_events),
             await bus.serve(keys.info(self._controller), self._answer_info),
+            await bus.serve(keys.clock(self._controller), self._answer_clock),
         ]
+
+    async def _answer_clock(self, _: Sample) -> bytes:
+        mapping = self._mapping()
+        return ClockReply(
+            controller=self._controller,
+            start_classes=list(self._driver.capabilities.start_classes),
+            mapping=None if mapping is None else clock_mapping(self._controller, mapping, self._clock.now_ns()),
+        ).to_json()
 
     # State
 
@@ -118,7 +128,7 @@ class Presenter:
         self._bus.put(self._keys.state(self._controller), self.state().to_json(), Priority.STATE)
         mapping = self._mapping()
         if mapping is not None and self._state_seq % CLOCK_EVERY == 0:
-            shown = clock_mapping(self._controller, mapping)
+            shown = clock_mapping(self._controller, mapping, self._clock.now_ns())
             self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
 
     def _axis(self, name: str, reading: Reading | None) -> AxisState:

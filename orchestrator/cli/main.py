@@ -21,6 +21,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "io": ("io", "Inputs and outputs by name."),
     "fleet": ("fleet_file", "Check a fleet file; give it to the running fleet."),
     "wiring": ("wiring", "Check the lines between controllers."),
+    "clock": ("clock", "How well the controllers' clocks are known."),
     "raw": ("controller", "Send a line in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),

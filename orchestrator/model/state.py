@@ -183,7 +183,11 @@ class Info(Model):
 
 
 class ClockMapping(Model):
-    """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns."""
+    """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns.
+
+    bound_ns: guaranteed error at host_at_ns, which was age_ns ago when this was said; it grows with drift_ppm.
+    rate_ppm: how far its tick is longer than it should be. residual_ns: mean distance of the readings.
+    """
 
     controller: Id
     ticks_at: Int53
@@ -192,6 +196,16 @@ class ClockMapping(Model):
     rate_ppm: float
     residual_ns: Int53
     bound_ns: Int53
+    drift_ppm: float
+    age_ns: Int53
     samples: int
     min_rtt_ns: Int53
     valid_until_ns: HostNs
+
+
+class ClockReply(Model):
+    """How well a controller's clock is known now; no mapping: it has none that can be read, or it is not known yet."""
+
+    controller: Id
+    start_classes: list[StartClass]
+    mapping: ClockMapping | None

@@ -24,7 +24,13 @@ def report_tables(report: JobReport) -> RenderableType:
     for step in report.steps:
         for row in _member_rows(step):
             members.add_row(*row)
-    return Group(head, "", steps, "", members) if members.row_count else Group(head, "", steps)
+    budgets = plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
+    for step in report.steps:
+        for row in _budget_rows(step):
+            budgets.add_row(*row)
+    if not members.row_count:
+        return Group(head, "", steps)
+    return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets)
 
 
 def _step_row(step: StepReport) -> list[str | Text]:
@@ -68,6 +74,26 @@ def _member_rows(step: StepReport) -> list[list[str]]:
                 ]
             )
     return rows
+
+
+def _budget_rows(step: StepReport) -> list[list[str]]:
+    """The budget of a step term by term, and beside it what the evidence says."""
+    rows: list[list[str]] = []
+    budget, t0_ns = step.budget, step.t0_fleet_ns or 0
+    for name, member in (budget.members if budget is not None else {}).items():
+        evidence = step.members[name].evidence if name in step.members else {}
+        measured = ", ".join(dict.fromkeys(_around(each, t0_ns) for each in evidence.values()))
+        whole = _between(member.earliest_ns, member.latest_ns)
+        for index, term in enumerate(member.terms):
+            first = index == 0
+            shown = [whole, measured] if first else ["", ""]
+            head = [str(step.index), name] if first else ["", ""]
+            rows.append([*head, term.name, _between(term.earliest_ns, term.latest_ns), *shown])
+    return rows
+
+
+def _between(earliest_ns: int, latest_ns: int) -> str:
+    return f"{earliest_ns / 1e6:+.2f} … {latest_ns / 1e6:+.2f} ms"
 
 
 def _seconds(value: float | None) -> str:

@@ -1,0 +1,98 @@
+"""`tutti clock …`: what is known of the controllers' clocks."""
+
+import click
+
+from orchestrator.cli.codes import FAILED
+from orchestrator.cli.common import console, fail, fleet_options, json_option, print_json, with_fleet
+from orchestrator.model.state import ClockMapping, ClockReply
+
+
+@click.group(epilog="Example: tutti clock ls")
+def clock() -> None:
+    """The controllers' own clocks, by which they start: how fast they are, and how well that is known."""
+
+
+@clock.command(epilog="Example: tutti clock ls")
+@fleet_options
+@json_option
+def ls(connect: str, fleet: str | None, as_json: bool) -> None:
+    """List every controller's clock.
+
+    rate: how far its ticks are longer than they should be. bound: the guaranteed error of a prediction now and in 5 s.
+    """
+    from orchestrator.client import Tutti
+    from orchestrator.client.clocks import clocks
+    from orchestrator.monitor.tables import plain_table
+
+    async def act(tutti: Tutti) -> None:
+        found = await clocks(tutti)
+        if as_json:
+            print_json({name: reply.to_plain() for name, reply in found.items()})
+            return
+        table = plain_table(["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "readings>", "residual>"])
+        for name, reply in found.items():
+            table.add_row(name, ", ".join(reply.start_classes), *_cells(reply.mapping))
+        console.print(table)
+
+    with_fleet(connect, fleet, act)
+
+
+@clock.command(epilog="Example: tutti clock show gantry")
+@click.argument("controller")
+@fleet_options
+@json_option
+def show(controller: str, connect: str, fleet: str | None, as_json: bool) -> None:
+    """Show all that is known of one controller's clock."""
+    from orchestrator.client import Tutti
+    from orchestrator.client.clocks import clocks
+
+    async def act(tutti: Tutti) -> None:
+        found = await clocks(tutti)
+        if controller not in found:
+            fail(f"no adapter answers for {controller}; controllers: {', '.join(found) or 'none'}", FAILED)
+        reply = found[controller]
+        if as_json:
+            print_json(reply.to_plain())
+            return
+        for name, words in _lines(reply):
+            console.print(f"{name:<12} {words}", highlight=False)
+
+    with_fleet(connect, fleet, act)
+
+
+def _cells(mapping: ClockMapping | None) -> list[str]:
+    if mapping is None:
+        return ["no clock", "", "", "", "", ""]
+    return [
+        f"{mapping.rate_ppm:+.1f} ppm",
+        _ms(_bound_ns(mapping, 0)),
+        _ms(_bound_ns(mapping, 5_000_000_000)),
+        f"{mapping.age_ns / 1e9:.1f} s",
+        str(mapping.samples),
+        _ms(mapping.residual_ns),
+    ]
+
+
+def _lines(reply: ClockReply) -> list[tuple[str, str]]:
+    mapping = reply.mapping
+    if mapping is None:
+        return [("starts by", ", ".join(reply.start_classes)), ("clock", "none that can be read, or not known yet")]
+    return [
+        ("starts by", ", ".join(reply.start_classes)),
+        ("tick", f"{mapping.tick_ns / 1e3:.4f} µs of its host's clock, {mapping.rate_ppm:+.2f} ppm off"),
+        (
+            "offset",
+            f"tick {mapping.ticks_at} began {mapping.age_ns / 1e9:.3f} s ago, host time {mapping.host_at_ns}",
+        ),
+        ("bound", f"{_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs a second; guaranteed"),
+        ("readings", f"{mapping.samples}, {_ms(mapping.residual_ns)} from the mapping on average"),
+        ("round trips", f"the fastest took {_ms(mapping.min_rtt_ns)}"),
+    ]
+
+
+def _bound_ns(mapping: ClockMapping, ahead_ns: int) -> float:
+    return mapping.bound_ns + (mapping.age_ns + ahead_ns) * mapping.drift_ppm * 1e-6
+
+
+def _ms(ns: float) -> str:
+    return f"{ns / 1e6:.3f} ms"
