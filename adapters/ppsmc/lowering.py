@@ -20,6 +20,8 @@ _WHY_NOT = {
 }
 # A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
 _SHORT_ROOM = 0.02
+_ALIKE_S = 0.001
+_FITS = 24  # so many are looked for beyond the first ones; some milliseconds each
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +68,7 @@ def lower(
         require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
-    moves = sorted(
-        (_move(name, config.axes[name], each, options) for name, each in profiles.items()), key=lambda each: each.motor
-    )
+    moves = _together(config, options, profiles)
     running = tuple(each for each in moves if each.shape is not None)
     rate = 1 + options.rate_ppm * 1e-6
     ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
@@ -100,7 +100,33 @@ def _shown(running: tuple[AxisMove, ...], wait: Wait | None, drive: Drive | None
     return (first, *moving, "nl", "end", "start:")
 
 
-def _move(name: str, axis: Axis, profile: Profile, options: Options) -> AxisMove:
+def _together(config: Controller, options: Options, profiles: Mapping[str, Profile]) -> list[AxisMove]:
+    """The moves, by axis number. Slow axes of one unit have only some durations, each its own: where that of one is
+    longer, the others are asked for it as well, so that the unit answers with one that all its axes have, if there
+    is one near."""
+
+    def stretched(factor: float) -> list[AxisMove]:
+        moves = [_move(name, config.axes[name], each, options, factor) for name, each in profiles.items()]
+        return sorted(moves, key=lambda each: each.motor)
+
+    first = moves = stretched(1.0)
+    planned_s = [each.duration_s for each in profiles.values() if each.start_counts != each.end_counts]
+    if len(planned_s) < 2 or max(planned_s) - min(planned_s) > _ALIKE_S:
+        return first
+    wanted_s = planned_s[0] * (1 + options.rate_ppm * 1e-6)
+    for _ in range(_FITS // len(planned_s)):
+        durations_s = [each.shape.duration_s for each in moves if each.shape is not None]
+        if max(durations_s) - min(durations_s) <= _ALIKE_S:
+            return moves
+        try:
+            moves = stretched(max(durations_s) / wanted_s)
+        except CannotDo:  # beyond what a slower one of them can make: the first answer says how far they are apart
+            return first
+    return first
+
+
+def _move(name: str, axis: Axis, profile: Profile, options: Options, factor: float) -> AxisMove:
+    """One axis's part, in `factor` times the planned duration. Raises `CannotDo`."""
     if any(profile.jerks):
         raise CannotDo("jerk", f"axis {name}: the SMC can not limit jerk", "leave `jerk` out of the axis's limits")
     distance = profile.end_counts - profile.start_counts
@@ -112,8 +138,8 @@ def _move(name: str, axis: Axis, profile: Profile, options: Options) -> AxisMove
             f"axis {name}: a move to {profile.end_counts} steps is beyond the counter's {POSITION_MAX}",
             "move less far, or give the place another coordinate at the unit",
         )
-    limits, wanted_s = bounds(axis), profile.duration_s * (1 + options.rate_ppm * 1e-6)
-    shape = fit(abs(distance), wanted_s, profile.peak_acceleration, limits)
+    limits, wanted_s = bounds(axis), profile.duration_s * (1 + options.rate_ppm * 1e-6) * factor
+    shape = fit(abs(distance), wanted_s, profile.peak_acceleration / factor**2, limits)
     if shape is None:
         raise CannotDo(
             "start-rate",

@@ -7,6 +7,7 @@ both ramps the move takes N/V + k (V - S)²/V; shorter ones turn round at Vp = s
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, floor, sqrt
 from typing import NamedTuple
 
@@ -16,11 +17,11 @@ _HZ_PER_S = 1000.0  # of one Hz/ms
 
 # The search ends at a duration this near to the wanted one; the firmware is a hundred times less certain.
 _GOOD_ENOUGH_S = 5e-6
-_RAMP_REACH = 6  # how far from the planned ramps others are looked for, Hz/ms
-_SPEEDS = 5
+_RAMP_REACH = 3  # how far from the planned ramps others are looked for, Hz/ms
+_SPEEDS = 3
 _SHORT_S = 0.001
-_GENTLE_SPEEDS = 12
-_STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 377, 610, 987)  # ramps to combine others with, Hz/ms
+_GENTLE_SPEEDS = 8
+_STEPS = (1, 2, 3, 5, 8, 13, 34, 144)  # ramps to combine others with, Hz/ms
 _STOP_S = 2.0  # ramps are no longer than this where the axis's limits allow it: they are what a stop takes
 
 
@@ -91,6 +92,7 @@ class Bounds:
         return min(RAMP_MAX, floor(self.acceleration / _HZ_PER_S * (1 + 1e-9)))
 
 
+@lru_cache(maxsize=512)
 def fit(distance: int, duration_s: float, acceleration: float, bounds: Bounds) -> Trapezoid | None:
     """The trapezoid within `bounds` whose duration is nearest to `duration_s`, with ramps near `acceleration`.
 
@@ -172,8 +174,8 @@ class _Search:
 
     def steeper(self, planned: int) -> None:
         """Candidates with ever steeper ramps, for a duration that the planned ones are too gentle for."""
-        if self._cruise(self._highest, 1 / (planned * _HZ_PER_S)) is not None:
-            return
+        if self._distance**2 < _HZ_PER_S * self._duration_s**3:
+            return  # so slow that whole speeds are the trouble, and no ramp makes up for them
         a = planned
         while a < self._ramp_max and self.error_s > _GOOD_ENOUGH_S:
             a = min(self._ramp_max, a + max(1, a // 8))

@@ -73,6 +73,23 @@ def test_an_answer_that_is_planned_again_is_kept() -> None:
     assert again.durations_s["x"] == pytest.approx(longer_s, abs=1e-3)
 
 
+def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() -> None:
+    draw, alike = Random(2), 0
+    config = controller("xy", axis={"start_rate": {"min": 0.001, "max": 2}})
+    for _ in range(40):
+        moves = [AxisMove(name, 0, draw.randrange(300, 900), 110.0, 5000.0) for name in "xy"]
+        plan = plan_step(moves)
+        profiles = plan.stretched(draw.uniform(8.2, 12.0)).profiles
+        answered = lower(config, Options(), 0, 2, profiles, StartWay()).durations_s
+        assert min(answered.values()) > profiles["x"].duration_s - 0.0011
+        if max(answered.values()) - min(answered.values()) <= 0.001:
+            alike += 1
+            factor = max(1.0, max(answered.values()) / profiles["x"].duration_s)
+            again = lower(config, Options(), 0, 2, {n: p.stretched(factor) for n, p in profiles.items()}, StartWay())
+            assert all(abs(s - max(answered.values())) < 2e-3 for s in again.durations_s.values())
+    assert alike >= 20
+
+
 @pytest.mark.parametrize("ppm", [-300.0, 0.0, 250.0])
 def test_the_rate_of_the_crystal_is_made_up_for(ppm: float) -> None:
     profile = planned(100_000, 20_000.0, 100_000.0, 1.2)
