@@ -4,9 +4,9 @@ from adapters.link.serial import open_serial
 from adapters.link.tcp import open_tcp
 from adapters.link.udp import open_udp
 from orchestrator.clock.base import Clock
-from orchestrator.link.base import Link, OpenLink
+from orchestrator.link.base import Link, LinkRefused, OpenLink
+from orchestrator.model.fleet import CanBusLink, TcpLink, UdpLink
 from orchestrator.model.fleet import Link as LinkModel
-from orchestrator.model.fleet import TcpLink, UdpLink
 
 
 def open_link(model: LinkModel, clock: Clock) -> OpenLink:
@@ -17,6 +17,8 @@ def open_link(model: LinkModel, clock: Clock) -> OpenLink:
             return await open_tcp(model, clock)
         if isinstance(model, UdpLink):
             return await open_udp(model, clock)
+        if isinstance(model, CanBusLink):
+            raise LinkRefused(f"{model.place}: CAN buses are simulated so far, in virtual time only")
         return open_serial(model, clock)
 
     return opened

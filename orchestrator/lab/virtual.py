@@ -24,10 +24,10 @@ from orchestrator.coordinator.journal import Journal, inline
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.lab.bridge import network
 from orchestrator.link.base import LinkRefused, OpenLink
-from orchestrator.link.memory import MemoryLink, MemoryWire, serial_wire
-from orchestrator.model.fleet import Connection, Controller, Fleet, SerialLink, by_line
+from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
+from orchestrator.model.fleet import CanBusLink, Connection, Controller, Fleet, SerialLink, by_line
 from orchestrator.model.state import ControllerState
-from sim.core.controller import Branch, SimulatedController, Timing, build_line
+from sim.core.controller import Branch, Port, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 
@@ -119,12 +119,10 @@ class VirtualFleet:
         process = Process(self.clock.loop, f"sim/{'+'.join(names)}")
         units = {name: self._branch(self.fleet.controllers[name]) for name in names}
         line = process.run(lambda: build_line(simulator(config.adapter), self.clock, units))
-        link, hold_ns = config.link, round(config.simulate.hold_ms * NS_PER_MS)
+        link = config.link
         wire = MemoryWire(
             clock=self.clock,
-            model=serial_wire(link.baud, hold_ns=hold_ns)
-            if isinstance(link, SerialLink)
-            else network(config, line.far),
+            model=_wire(config, line.far),
             far=line.far,
             port=link.kind if link.kind in line.far.ports else line.far.ports[0],
             place=link.place,
@@ -135,10 +133,10 @@ class VirtualFleet:
             self.simulators[name], self.controllers[name], self.wires[name] = process, line.units[name], wire
 
     def _branch(self, config: Controller) -> Branch:
-        simulate, seed = config.simulate, self._draw.getrandbits(32)
+        link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
         return Branch(
-            address=config.link.unit if isinstance(config.link, SerialLink) else None,
-            options=simulate.options,
+            address=link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+            options={"bitrate": link.bitrate, **simulate.options} if isinstance(link, CanBusLink) else simulate.options,
             oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
             timing=Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
             seed=seed,
@@ -305,3 +303,13 @@ class VirtualFleet:
     def _kernel(self, coroutine: Coroutine[Any, Any, None]) -> None:
         """Run `coroutine` outside every process."""
         Context().run(self.clock.loop.create_task, coroutine)
+
+
+def _wire(config: Controller, far: Port) -> WireModel:
+    """The wire from an adapter host to what a controller is on."""
+    hold_ns = round(config.simulate.hold_ms * NS_PER_MS)
+    if isinstance(config.link, SerialLink):
+        return serial_wire(config.link.baud, hold_ns=hold_ns)
+    if isinstance(config.link, CanBusLink):
+        return can_wire(hold_ns)
+    return network(config, far)

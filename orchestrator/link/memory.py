@@ -56,6 +56,11 @@ def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
     return WireModel(char_ns=char_ns, latency_ns=20_000, jitter_ns=80_000, tail_chance=0.0005, hold_ns=hold_ns)
 
 
+def can_wire(hold_ns: int = 0) -> WireModel:
+    """From a program to the CAN controller of its computer, and back; the bus itself is at the far end."""
+    return WireModel(latency_ns=20_000, jitter_ns=40_000, tail_chance=0.0005, tail_ns=1_000_000, hold_ns=hold_ns)
+
+
 @dataclass(slots=True)
 class MemoryWire:
     """The wire to one port of one simulated controller. Faults are injected here, from outside.

@@ -12,58 +12,10 @@ from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
+from orchestrator.model.links import CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
 Positive = Annotated[float, Field(gt=0)]
-
-
-class TcpLink(Model):
-    """A controller behind a TCP port."""
-
-    kind: Literal["tcp"] = "tcp"
-    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
-    port: int = Field(ge=1, le=65535)
-
-    @property
-    def place(self) -> str:
-        """What two controllers can not share."""
-        return f"tcp {self.host}:{self.port}"
-
-
-class UdpLink(Model):
-    """A controller behind a UDP port."""
-
-    kind: Literal["udp"]
-    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
-    port: int = Field(ge=1, le=65535)
-
-    @property
-    def place(self) -> str:
-        """What two controllers can not share."""
-        return f"udp {self.host}:{self.port}"
-
-
-class SerialLink(Model):
-    """A controller behind a serial port."""
-
-    kind: Literal["serial"]
-    device: str = Field(description="The port, best by a stable name, e.g. /dev/serial/by-id/….")
-    baud: int = Field(default=38400, gt=0)
-    data_bits: Literal[7, 8] = 8
-    parity: Literal["none", "even", "odd"] = "none"
-    stop_bits: Literal[1, 2] = 1
-    rtscts: bool = Field(default=False, description="Hardware handshake by RTS and CTS.")
-    unit: int | None = Field(
-        default=None, ge=0, le=255, description="Address of the controller, where several share the port."
-    )
-
-    @property
-    def place(self) -> str:
-        """What two controllers can not share, unless their make can and they have addresses."""
-        return f"serial {self.device}"
-
-
-Link = Annotated[TcpLink | UdpLink | SerialLink, Field(discriminator="kind")]
 
 
 class Limits(Model):
@@ -309,10 +261,10 @@ class Controller(Model):
     @property
     def shares(self) -> bool:
         """Whether its port may carry other controllers, too."""
-        return isinstance(self.link, SerialLink) and self.link.unit is not None
+        return _unit(self) is not None
 
     @property
-    def reached_by(self) -> TcpLink | UdpLink | SerialLink:
+    def reached_by(self) -> TcpLink | UdpLink | SerialLink | CanBusLink:
         """The link to open: that of the controller, or of the simulator that stands in for it."""
         return self.simulate.link or self.link
 
@@ -489,8 +441,8 @@ class Fleet(Model):
 
 
 def _unit(controller: Controller) -> int | None:
-    """Its address on its port."""
-    return controller.link.unit if isinstance(controller.link, SerialLink) else None
+    """Its address on its port or bus."""
+    return controller.link.unit if isinstance(controller.link, SerialLink | CanBusLink) else None
 
 
 def _require_shareable(place: str, first: str, one: Controller, second: str, other: Controller) -> None:

@@ -1,0 +1,173 @@
+"""CAN frames over a link.
+
+A link to a CAN bus is a `Link` like any other: its bytes are whole frames, each in the 16 bytes of SocketCAN's `struct
+can_frame` (identifier with its flags, length, three of padding, eight of data). So everything that holds for bytes (the
+firing process, a guardian's stop, the trace, faults on a wire) holds for frames. `CanLink` is the face of it in frames.
+"""
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+
+from orchestrator.link.base import Link
+
+FRAME_BYTES = 16
+
+# Flags in the identifier of a `struct can_frame`, as linux/can.h has them.
+_EXTENDED = 0x8000_0000
+_REMOTE = 0x4000_0000
+_ERROR = 0x2000_0000
+_STANDARD_MASK = 0x7FF
+_EXTENDED_MASK = 0x1FFF_FFFF
+
+# Classes of error frames: bits of their identifier, as linux/can/error.h has them.
+ERROR_PASSIVE = 0x004
+"""The CAN controller of this end has become error passive, or is no longer (data[1] tells which)."""
+ERROR_NO_ACKNOWLEDGE = 0x020
+"""Nobody on the bus has acknowledged a frame of ours."""
+ERROR_BUS_OFF = 0x040
+"""The CAN controller of this end has left the bus; nothing is sent until it is restarted."""
+ERROR_ON_BUS = 0x080
+"""A frame on the bus was destroyed."""
+ERROR_RESTARTED = 0x100
+"""The CAN controller of this end is back on the bus. What it was to send has been thrown away."""
+
+# Bits of a frame that can be stuffed (SOF to the end of the CRC, without data), and those behind them that can not
+# (CRC delimiter, acknowledge slot and delimiter, end of frame, intermission).
+STUFFED_BITS = 34
+STUFFED_BITS_EXTENDED = 54
+FIXED_BITS = 13
+INTERMISSION_BITS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """One frame. id: 11 bits, 29 if `extended`. rtr: it asks for data; `data` is then as long as what is asked for, and
+    empty of meaning. error: it was never on the bus: the CAN controller of this end tells of a trouble, `id` says which
+    (`ERROR_…`)."""
+
+    id: int
+    data: bytes = b""
+    extended: bool = False
+    rtr: bool = False
+    error: bool = False
+
+    def __post_init__(self) -> None:
+        most = _EXTENDED_MASK if self.extended or self.error else _STANDARD_MASK
+        if not 0 <= self.id <= most:
+            raise ValueError(f"CAN identifier {self.id:#x} is not within 0 to {most:#x}")
+        if len(self.data) > 8:
+            raise ValueError(f"a CAN frame carries up to 8 bytes, not {len(self.data)}")
+
+    def __str__(self) -> str:
+        """As candump writes it: `201#0F00`."""
+        name = f"{self.id | _ERROR:08X}" if self.error else f"{self.id:08X}" if self.extended else f"{self.id:03X}"
+        return f"{name}#" + (f"R{len(self.data)}" if self.rtr else self.data.hex().upper())
+
+
+@dataclass(frozen=True, slots=True)
+class CanReceived:
+    """A frame as it came. at_ns: host time when it was taken from the operating system."""
+
+    frame: CanFrame
+    at_ns: int
+
+
+def encode(*frames: CanFrame) -> bytes:
+    """The bytes of `frames` on a link; also what a `Firer` and a make's `stop_bytes` want."""
+    return b"".join(map(_encode, frames))
+
+
+def _encode(frame: CanFrame) -> bytes:
+    flags = _EXTENDED * frame.extended | _REMOTE * frame.rtr | _ERROR * frame.error
+    return struct.pack("<IB3x8s", frame.id | flags, len(frame.data), frame.data)
+
+
+def decode(data: bytes) -> list[CanFrame]:
+    """The whole frames of `data`. `ValueError` when it is not a multiple of 16 bytes, or no frame."""
+    if len(data) % FRAME_BYTES:
+        raise ValueError(f"{len(data)} bytes are no whole CAN frames of {FRAME_BYTES} bytes")
+    return [_decode(data[at : at + FRAME_BYTES]) for at in range(0, len(data), FRAME_BYTES)]
+
+
+def _decode(data: bytes) -> CanFrame:
+    word, length, payload = struct.unpack("<IB3x8s", data)
+    return CanFrame(
+        id=word & _EXTENDED_MASK,
+        data=payload[:length],
+        extended=bool(word & _EXTENDED),
+        rtr=bool(word & _REMOTE),
+        error=bool(word & _ERROR),
+    )
+
+
+class FrameReader:
+    """Cuts a stream of bytes into frames."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[CanFrame]:
+        """The frames that are complete with `data`."""
+        self._rest += data
+        whole = len(self._rest) // FRAME_BYTES * FRAME_BYTES
+        frames, self._rest = decode(self._rest[:whole]), self._rest[whole:]
+        return frames
+
+
+def longest_bits(frame: CanFrame) -> int:
+    """Bits of `frame` on the bus with all stuff bits that there can be, and the intermission behind it."""
+    stuffed = (STUFFED_BITS_EXTENDED if frame.extended else STUFFED_BITS) + (0 if frame.rtr else 8 * len(frame.data))
+    return stuffed + (stuffed - 1) // 4 + FIXED_BITS
+
+
+def frame_ns(frame: CanFrame, bitrate: int) -> int:
+    """How long `frame` is on a bus of `bitrate` bits/s at the most, with the intermission behind it, ns."""
+    return -(-longest_bits(frame) * 1_000_000_000 // bitrate)
+
+
+class CanLink:
+    """One open way to one CAN bus, in frames: `CanLink(await setup.open_link(), setup.config.link.bitrate)`."""
+
+    def __init__(self, link: Link, bitrate: int) -> None:
+        self._link = link
+        self._bitrate = bitrate
+        self._reader = FrameReader()
+        self._received: deque[CanReceived] = deque()
+
+    @property
+    def place(self) -> str:
+        return self._link.place
+
+    @property
+    def bitrate(self) -> int:
+        """Bits per second."""
+        return self._bitrate
+
+    @property
+    def link(self) -> Link:
+        """The link in bytes, for a `Firer`: `firer.schedule(can.link, encode(frame), at_ns, latest_ns)`."""
+        return self._link
+
+    def frame_ns(self, frame: CanFrame) -> int:
+        """How long `frame` is on this bus at the most, ns."""
+        return frame_ns(frame, self._bitrate)
+
+    def send(self, *frames: CanFrame) -> int:
+        """Hand frames to the CAN controller of this end, in their order, without blocking. Host time just before it.
+
+        It sends each as soon as the bus is free and no frame with a lower identifier wants it, and tries again until
+        somebody has acknowledged it. Raises `LinkClosed`.
+        """
+        return self._link.write(encode(*frames))
+
+    async def read(self) -> CanReceived:
+        """Wait for a frame of another node, or an error frame of this end. Raises `LinkClosed`."""
+        while not self._received:
+            received = await self._link.read()
+            self._received.extend(CanReceived(frame, received.at_ns) for frame in self._reader.feed(received.data))
+        return self._received.popleft()
+
+    async def close(self) -> None:
+        """Close; a waiting `read` raises `LinkClosed`. Safe to call twice."""
+        await self._link.close()

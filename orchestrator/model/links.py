@@ -1,0 +1,71 @@
+"""The ways to a controller, as they stand in the fleet file."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from orchestrator.model.base import Model
+
+
+class TcpLink(Model):
+    """A controller behind a TCP port."""
+
+    kind: Literal["tcp"] = "tcp"
+    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    port: int = Field(ge=1, le=65535)
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share."""
+        return f"tcp {self.host}:{self.port}"
+
+
+class UdpLink(Model):
+    """A controller behind a UDP port."""
+
+    kind: Literal["udp"]
+    host: str = Field(description="Address of the controller, e.g. 192.168.1.20.")
+    port: int = Field(ge=1, le=65535)
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share."""
+        return f"udp {self.host}:{self.port}"
+
+
+class SerialLink(Model):
+    """A controller behind a serial port."""
+
+    kind: Literal["serial"]
+    device: str = Field(description="The port, best by a stable name, e.g. /dev/serial/by-id/….")
+    baud: int = Field(default=38400, gt=0)
+    data_bits: Literal[7, 8] = 8
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    rtscts: bool = Field(default=False, description="Hardware handshake by RTS and CTS.")
+    unit: int | None = Field(
+        default=None, ge=0, le=255, description="Address of the controller, where several share the port."
+    )
+
+    @property
+    def place(self) -> str:
+        """What two controllers can not share, unless their make can and they have addresses."""
+        return f"serial {self.device}"
+
+
+class CanBusLink(Model):
+    """A controller that is a node of a CAN bus; several can be on one."""
+
+    kind: Literal["can"]
+    interface: str = Field(description="slcan, socketcan, or any other interface that python-can knows.")
+    channel: str = Field(description="The interface's name for the bus: can0, /dev/serial/by-id/…, …")
+    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="Of all nodes of the bus, bit/s.")
+    unit: int = Field(ge=1, le=127, description="Number of the node.")
+
+    @property
+    def place(self) -> str:
+        """The bus."""
+        return f"can {self.channel}"
+
+
+Link = Annotated[TcpLink | UdpLink | SerialLink | CanBusLink, Field(discriminator="kind")]
