@@ -19,15 +19,25 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
 
 
 @click.command(epilog="Example: tutti demo --headless --json | jq .state")
+@click.option(
+    "--fleet",
+    "which",
+    type=click.Choice(["two", "all"]),
+    default="two",
+    show_default=True,
+    help="two: an SMC-4000 and an SHRC-203; all: every make, and a wire that starts them.",
+)
 @click.option("--headless", is_flag=True, help="Show nothing while it runs.")
 @json_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
-def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
+def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
-    The fleet is a simulated Yaskawa SMC-4000 on TCP and a simulated OptoSigma SHRC-203 on a pseudo-terminal. Exit 0
-    only if the job is done and every start skew is surely within what the job allows; 130 when interrupted.
+    The simulated controllers stand on real TCP ports and pseudo-terminals, and write down what they really do: the
+    verdicts are held against it. Exit 0 only if the job is done and every start skew is surely within what the job
+    allows, and truly within what the verdict says; 130 when interrupted.
     """
+    from orchestrator.lab.demo_truth import Held, verdicts_against_truth
     from orchestrator.lab.live import LiveFleet, UpFailed, free_port
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
@@ -36,11 +46,12 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
         if not headless and not as_json:
             console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    async def main() -> JobReport:
-        fleet, job = load_fleet(EXAMPLES / "demo.fleet.yaml"), load_job(EXAMPLES / "demo.job.yaml")
+    async def main() -> tuple[JobReport, list[Held]]:
+        name = "demo" if which == "two" else which
+        fleet, job = load_fleet(EXAMPLES / f"{name}.fleet.yaml"), load_job(EXAMPLES / f"{name}.job.yaml")
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _interrupt)
         with tempfile.TemporaryDirectory(prefix="tutti-demo-") as folder:
-            live = LiveFleet(fleet, keep or Path(folder), say, port=free_port(), simulated=True)
+            live = LiveFleet(fleet, keep or Path(folder), say, port=free_port(), simulated=True, truth=True)
             await live.start()
             try:
                 job_run = asyncio.ensure_future(
@@ -50,22 +61,33 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
                 # A part that ends for good would be waited for in vain.
                 await asyncio.wait([job_run, live.failed], return_when=asyncio.FIRST_COMPLETED)
                 if job_run.done():
-                    return await job_run
+                    report, origin_host_ns = await job_run
+                    truth = (keep or Path(folder)) / "truth"
+                    return report, verdicts_against_truth(fleet, report, truth, origin_host_ns)
                 job_run.cancel()
                 raise UpFailed(live.failed.result())
             finally:
                 await live.close()
 
-    report = run(main())
+    report, truths = run(main())
     unsure = [step for step in report.steps if step.verdict not in ("green", "none")]
     if as_json:
-        print_json(summary(report))
+        print_json(summary(report) | {"truth": [each._asdict() for each in truths]})
     else:
         from orchestrator.monitor.report_table import report_tables
 
         console.print(report_tables(report))
+        for each in truths:
+            holds = "its verdict holds" if each.held else "[bold red]its verdict does not hold[/]"
+            console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}")
     if report.state != "done":
         raise SystemExit(FAILED)
+    wrong = [str(each.step) for each in truths if not each.held]
+    if wrong:
+        fail(
+            f"the truth is not within the verdict of step {', '.join(wrong)}",
+            remedy="simulators act late on a busy machine; if it is idle, this is a defect",
+        )
     if unsure:
         names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)
         fail(
@@ -74,11 +96,12 @@ def demo(headless: bool, as_json: bool, keep: Path | None) -> None:
         )
 
 
-async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: bool) -> Any:
-    """Wait until the fleet is adopted, then submit and follow."""
+async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: bool) -> tuple[Any, int]:
+    """Wait until the fleet is adopted, then submit and follow; with the host instant at which fleet time is 0."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
     from orchestrator.lab.live import UpFailed
+    from orchestrator.model.messages import Reign
     from orchestrator.model.state import ControllerState
 
     async with await Tutti.connect(connect, fleet, actor="demo") as tutti:
@@ -94,9 +117,11 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
         job_id = await tutti.submit(job)
         try:
             async with asyncio.timeout(JOB_S):
-                return await follow(tutti, job_id, quiet)
+                report = await follow(tutti, job_id, quiet)
         except TimeoutError:
             raise UpFailed(f"job {job_id} has not ended within {JOB_S:g} s; look at the logs with --keep") from None
+        async with tutti.samples(tutti.keys.reign) as heard:
+            return report, Reign.model_validate_json((await heard.get()).payload).origin_host_ns
 
 
 def summary(report: Any) -> dict[str, Any]:

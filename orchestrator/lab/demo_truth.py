@@ -1,0 +1,51 @@
+"""A job's verdicts against what the simulators wrote down that they did."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport
+
+
+class Held(NamedTuple):
+    """A motion step: its true start skew, ns, and whether verdict and evidence hold the truth."""
+
+    step: int
+    skew_ns: int
+    held: bool
+
+
+def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[Held]:
+    """For each motion step that was done. truth: the folder of the simulators' logs, host time of this kernel."""
+    logged = {name: _starts(truth / f"{name}.jsonl") for name in fleet.controllers}
+    found: list[Held] = []
+    for step in report.steps:
+        if step.start_skew is None or step.t0_fleet_ns is None or step.state != "done":
+            continue
+        true: list[int] = []
+        held = True
+        for name, member in step.members.items():
+            for axis, evidence in member.evidence.items():
+                motor = fleet.controllers[name].axes[axis].motors[0]
+                t0_ns = step.t0_fleet_ns + origin_host_ns
+                start_ns = min(
+                    (at_ns for axis_name, at_ns in logged[name] if axis_name == motor),
+                    key=lambda at_ns: abs(at_ns - t0_ns),
+                    default=0,
+                )
+                true.append(start_ns)
+                early_ns, late_ns = (
+                    each + origin_host_ns for each in (evidence.start.earliest_ns, evidence.start.latest_ns)
+                )
+                held = held and early_ns <= start_ns <= late_ns
+        skew_ns = max(true) - min(true) if true else 0
+        held = held and step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+        found.append(Held(step.index, skew_ns, held))
+    return found
+
+
+def _starts(log: Path) -> list[tuple[str, int]]:
+    """Axis and instant of every motion that began."""
+    entries = (json.loads(line) for line in log.read_text(encoding="utf-8").splitlines())
+    return [(entry["axis"], entry["start_ns"]) for entry in entries if entry["event"] == "start"]
