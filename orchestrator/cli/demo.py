@@ -78,7 +78,7 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
 
         console.print(report_tables(report))
         for each in truths:
-            holds = "its verdict holds" if each.held else "[bold red]its verdict does not hold[/]"
+            holds = "its verdict holds" if each.held else f"[bold red]not as measured:[/] {', '.join(each.outside)}"
             console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}")
     if report.state != "done":
         raise SystemExit(FAILED)

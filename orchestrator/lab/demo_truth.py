@@ -9,11 +9,12 @@ from orchestrator.model.report import JobReport
 
 
 class Held(NamedTuple):
-    """A motion step: its true start skew, ns, and whether verdict and evidence hold the truth."""
+    """A motion step: its true start skew, ns, and whether verdict and evidence hold the truth; if not, who is outside."""
 
     step: int
     skew_ns: int
     held: bool
+    outside: list[str]
 
 
 def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[Held]:
@@ -24,7 +25,7 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
         if step.start_skew is None or step.t0_fleet_ns is None or step.state != "done":
             continue
         true: list[int] = []
-        held = True
+        outside: list[str] = []
         for name, member in step.members.items():
             for axis, evidence in member.evidence.items():
                 motor = fleet.controllers[name].axes[axis].motors[0]
@@ -38,10 +39,12 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
                 early_ns, late_ns = (
                     each + origin_host_ns for each in (evidence.start.earliest_ns, evidence.start.latest_ns)
                 )
-                held = held and early_ns <= start_ns <= late_ns
+                if not early_ns <= start_ns <= late_ns:
+                    off_ns = start_ns - (early_ns if start_ns < early_ns else late_ns)
+                    outside.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
         skew_ns = max(true) - min(true) if true else 0
-        held = held and step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
-        found.append(Held(step.index, skew_ns, held))
+        within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+        found.append(Held(step.index, skew_ns, within and not outside, outside))
     return found
 
 
