@@ -36,6 +36,7 @@ from orchestrator.plan.step import Targets, plan_step
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
 STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other member on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
+VAGUE = 2  # evidence that is so many times wider than the promise is narrowed by it
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
@@ -323,10 +324,11 @@ class Motion:
         return event if about and event.controller in moving.proposals else None
 
     def _narrowed(self, moving: Moving, member: str, evidence: AxisEvidence) -> AxisEvidence:
-        """A start that the controller's evidence and the member's promise both allow; the evidence where they disagree,
-        for then something was outside the model."""
-        window = moving.budget.members[member] if moving.budget is not None else None
-        if window is None:
+        """A start by its controller's evidence; where that says much less than what the member has promised, e.g.
+        because a serial adapter holds answers back, by both. Where they disagree, something was outside the model."""
+        window = moving.budget.members.get(member) if moving.budget is not None else None
+        said_ns = evidence.start.latest_ns - evidence.start.earliest_ns
+        if window is None or said_ns <= VAGUE * (window.latest_ns - window.earliest_ns):
             return evidence
         earliest_ns = max(evidence.start.earliest_ns, moving.t0_fleet_ns + window.earliest_ns)
         latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns)

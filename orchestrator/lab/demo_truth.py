@@ -9,7 +9,7 @@ from orchestrator.model.report import JobReport
 
 
 class Held(NamedTuple):
-    """A motion step: its true start skew, ns, and whether verdict and evidence hold the truth; if not, who is outside."""
+    """A motion step: its true start skew, ns, and whether verdict and evidence hold it; outside: whose do not."""
 
     step: int
     skew_ns: int
