@@ -102,7 +102,8 @@ class Lowered:
     durations_s: by axis, from its start to its end, in host seconds. path_error_counts: largest distance to the
     plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause;
     of a member that waits for a line, the line's own window is among them (name `line`). edge: the same for the edge
-    of the line that it drives, at its terminal. commands: what would be sent, for people.
+    of the line that it drives, at its terminal. clock_ppm: by how much the unit's own crystal may make all of it longer
+    or shorter, guaranteed. commands: what would be sent, for people.
     """
 
     start_class: StartClass
@@ -113,6 +114,7 @@ class Lowered:
     costs: Costs
     commands: tuple[str, ...]
     edge: tuple[Term, ...] = field(default=(), kw_only=True)
+    clock_ppm: float = field(default=100.0, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,6 +100,7 @@ class Member:
             tick_ns=lowered.tick_ns,
             terms=list(lowered.terms),
             edge=list(lowered.edge),
+            clock_ppm=lowered.clock_ppm,
             commands=list(lowered.commands),
         )
 

@@ -78,6 +78,7 @@ def lower(
         path_error_counts={each.name: path_error(profiles[each.name], each, rate) for each in moves},
         terms=starting_terms(options, drive is not None) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
+        clock_ppm=options.clock_ppm,
         costs=costs(options, char_ns, installed, ramps_s, wait is not None),
         commands=_shown(running, wait, drive),
         edge=() if drive is None else edge_terms(options),

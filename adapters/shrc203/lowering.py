@@ -94,6 +94,7 @@ def lower(
         path_error_counts={each.name: path_error(profiles[each.name], each) for each in moves},
         terms=terms(options) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
+        clock_ppm=options.clock_ppm,
         costs=wire.line_costs if wait is not None or drive is not None else wire.costs,
         commands=_shown(running, load, go, wait, drive),
         edge=() if drive is None else edge_terms(options, behind_ns),

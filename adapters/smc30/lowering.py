@@ -123,6 +123,7 @@ def lower(
         terms=terms,
         edge=edge if drive is not None else (),
         tick_ns=0.0,
+        clock_ppm=options.clock_ppm,
         costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,

@@ -336,6 +336,7 @@ def _promise(
         else lines.wait_terms(how.wait, waits, options, tick_ns),
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, how),
         tick_ns=tick_ns,
+        clock_ppm=mapping.drift_ppm,
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,

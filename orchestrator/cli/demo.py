@@ -78,9 +78,8 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
 
         console.print(report_tables(report))
         for each in truths:
-            holds = (
-                "the verdict holds it" if each.held else f"[yellow]outside their evidence:[/] {', '.join(each.outside) or 'all together'}"
-            )
+            who = ", ".join(each.outside) or "all together"
+            holds = "the verdict holds it" if each.held else f"[yellow]outside their evidence:[/] {who}"
             console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}")
         if not all(each.held for each in truths):
             console.print("Simulated controllers act late on a busy machine, which real ones do not.")

@@ -2,11 +2,16 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import ceil
 from typing import Literal
 
-from orchestrator.model.messages import Term
-from orchestrator.model.report import Budget, MemberBudget, Skew
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.messages import Proposal, Term
+from orchestrator.model.profile import Profile
+from orchestrator.model.report import Budget, MemberBudget, Predicted, Skew
 from orchestrator.model.state import Interval
+
+SLOWEST = 0.1  # of the peak velocity: below it a distance from the path is no time
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,3 +79,58 @@ def judge(measured: Skew | None, budget: Budget | None) -> Literal["green", "amb
     if measured.at_most_ns <= budget.allowed_ns:
         return "green"
     return "red" if measured.at_least_ns > budget.allowed_ns else "amber"
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """An axis from its start to its end, beside its plan, in ns: how much it is planned longer, how far its end and its
+    way may be off that for its own reasons."""
+
+    member: str
+    longer_ns: float
+    end_off_ns: float
+    path_off_ns: float
+
+
+def make_ways(
+    proposals: Mapping[str, Proposal], profiles: Mapping[str, Mapping[str, Profile]], duration_s: float
+) -> list[Way]:
+    """The axes of a step. profiles: by member and axis."""
+    found: list[Way] = []
+    for member, proposal in proposals.items():
+        for axis, took_s in proposal.durations_s.items():
+            profile = profiles[member][axis]
+            if not profile.peak_velocity:
+                continue
+            crystal_ns = took_s * proposal.clock_ppm * 1e3
+            # Where it is slowest, a tenth of its peak, a distance is most of time.
+            beside_ns = proposal.path_error_counts.get(axis, 0.0) / (SLOWEST * profile.peak_velocity) * NS_PER_S
+            longer_ns = (took_s - duration_s) * NS_PER_S
+            found.append(Way(member, longer_ns, crystal_ns + proposal.tick_ns, crystal_ns + beside_ns))
+    return found
+
+
+def predict_end(budget: Budget, ways: list[Way], allowed_ns: int | None) -> Predicted | None:
+    """How far the ends are apart at the most: the starts, and what each axis adds on its way."""
+    return _predict(budget, [(way.member, way.longer_ns, way.end_off_ns) for way in ways], allowed_ns)
+
+
+def predict_path(budget: Budget, ways: list[Way], allowed_ns: int | None) -> Predicted | None:
+    """How far the axes are apart in time on their way at the most, where each has a tenth of its peak velocity."""
+    return _predict(budget, [(way.member, 0.0, way.path_off_ns) for way in ways], allowed_ns)
+
+
+def _predict(budget: Budget, ways: list[tuple[str, float, float]], allowed_ns: int | None) -> Predicted | None:
+    spans = {
+        index: (
+            budget.members[member].earliest_ns + shift_ns - off_ns,
+            budget.members[member].latest_ns + shift_ns + off_ns,
+        )
+        for index, (member, shift_ns, off_ns) in enumerate(ways)
+        if member in budget.members
+    }
+    if not spans:
+        return None
+    worst = max(spans, key=lambda index: spans[index][1] - spans[index][0])
+    predicted_ns = max(late for _, late in spans.values()) - min(early for early, _ in spans.values())
+    return Predicted(predicted_ns=ceil(predicted_ns), allowed_ns=allowed_ns, worst_member=ways[worst][0])

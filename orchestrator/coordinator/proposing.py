@@ -7,7 +7,7 @@ from dataclasses import replace
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.alignment import Grid, closest
-from orchestrator.coordinator.budget import Window, make_budget
+from orchestrator.coordinator.budget import Window, make_budget, make_ways, predict_end, predict_path
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import LineStart, Moving
 from orchestrator.coordinator.targets import Refuse, refuse
@@ -15,8 +15,10 @@ from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
 from orchestrator.model.job import Job, Move
 from orchestrator.model.messages import Armed, Proposal, Propose, Reply, StartWay, Term
+from orchestrator.model.report import Predicted
 
 ROUNDS = 3
+END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
 # Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
 MARGIN_NS = 150 * NS_PER_MS
@@ -86,6 +88,14 @@ class Proposing:
                 "allow more with `max_start_skew`, or improve that member's link",
                 budget.worst_member,
             )
+        ways = make_ways(
+            moving.proposals, {member: moving.profiles(member) for member in movers}, moving.plan.duration_s
+        )
+        if step.sync != "none":
+            budget.end = predict_end(budget, ways, step.max_end_skew or job.max_end_skew)
+            budget.path = predict_path(budget, ways, step.max_path_skew or job.max_path_skew)
+            _require("end", budget.end)
+            _require("path", budget.path)
 
     # Inside
 
@@ -108,7 +118,7 @@ class Proposing:
 
     async def _rounds(self, moving: Moving, job: Job, step: Move) -> None:
         """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
-        allowed_ns = step.max_end_skew or job.max_end_skew
+        allowed_ns = step.max_end_skew or job.max_end_skew or END_SKEW_NS
         durations: dict[str, float] = {}
         for _ in range(ROUNDS):
             await self._ask(moving, step)
@@ -196,6 +206,17 @@ def refuse_if_any(replies: Mapping[str, Reply]) -> None:
     for reply in replies.values():
         if reply.refused is not None:
             raise refuse(reply.refused)
+
+
+def _require(what: str, said: Predicted | None) -> None:
+    if said is not None and said.allowed_ns is not None and said.predicted_ns > said.allowed_ns:
+        raise Refuse(
+            f"{what}-skew",
+            f"predicted {what} skew {format_ns(said.predicted_ns)} > {format_ns(said.allowed_ns)}; worst is "
+            f"{said.worst_member}",
+            f"allow more with `max_{what}_skew`, or move faster or shorter, so that its crystal has less time to drift",
+            said.worst_member,
+        )
 
 
 def _predicted_ns(moving: Moving) -> int:

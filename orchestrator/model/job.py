@@ -42,6 +42,7 @@ class Move(StepBase):
     )
     max_start_skew: Duration | None = Field(default=None, description="Overrides the job's.")
     max_end_skew: Duration | None = Field(default=None, description="Overrides the job's.")
+    max_path_skew: Duration | None = Field(default=None, description="Overrides the job's.")
 
     @model_validator(mode="after")
     def _targets(self) -> "Move":
@@ -117,12 +118,18 @@ class Job(Model):
     name: str = Field(min_length=1, max_length=120)
     actor: str = Field(default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="Who asks.")
     max_start_skew: Duration = Field(default=10_000_000, description="Largest spread of the axes' starts.")
-    max_end_skew: Duration = Field(default=20_000_000, description="Largest spread of the axes' planned ends.")
+    max_end_skew: Duration | None = Field(
+        default=None,
+        description="Largest spread of the axes' ends. Without it, durations must fit within 20 ms, as the clocks go.",
+    )
+    max_path_skew: Duration | None = Field(
+        default=None, description="How far the axes may be apart in time on their way, at the most."
+    )
     steps: list[Step] = Field(min_length=1, max_length=10_000)
 
-    @field_validator("max_start_skew", "max_end_skew")
+    @field_validator("max_start_skew", "max_end_skew", "max_path_skew")
     @classmethod
-    def _above_zero(cls, value: int) -> int:
-        if value <= 0:
+    def _above_zero(cls, value: int | None) -> int | None:
+        if value is not None and value <= 0:
             raise ValueError("must be above 0")
         return value

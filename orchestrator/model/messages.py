@@ -139,6 +139,7 @@ class Proposal(Reply):
     tick_at_fleet_ns: Int53 | None = Field(default=None, description="One of the ticks that it could start at.")
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
+    clock_ppm: float = Field(default=100.0, description="How far off the unit's durations may be, guaranteed.")
     commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
 
 

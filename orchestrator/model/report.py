@@ -67,8 +67,16 @@ class MemberBudget(Model):
     latest_ns: Int53
 
 
+class Predicted(Model):
+    """A skew that is guaranteed not to be larger, what is allowed of it if anything, and who makes it worst."""
+
+    predicted_ns: Int53
+    allowed_ns: Int53 | None
+    worst_member: str
+
+
 class Budget(Model):
-    """The predicted start skew of a step, guaranteed, and who makes it worst."""
+    """The predicted start skew of a step, guaranteed, and who makes it worst; end and path skew once it is lowered."""
 
     predicted_ns: Int53
     allowed_ns: Int53
@@ -76,6 +84,8 @@ class Budget(Model):
     worst_term: str
     by_line: bool = Field(default=False, description="All start by one line: when its edge comes does not matter.")
     members: dict[str, MemberBudget]
+    end: Predicted | None = None
+    path: Predicted | None = None
 
 
 class MemberReport(Model):

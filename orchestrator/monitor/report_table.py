@@ -30,7 +30,8 @@ def report_tables(report: JobReport) -> RenderableType:
             budgets.add_row(*row)
     if not members.row_count:
         return Group(head, "", steps)
-    return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets)
+    later = [Text(line) for step in report.steps for line in _later(step)]
+    return Group(head, "", steps, "", members, "", "Predicted, guaranteed, and measured:", budgets, *later)
 
 
 def _step_row(step: StepReport) -> list[str | Text]:
@@ -90,6 +91,20 @@ def _budget_rows(step: StepReport) -> list[list[str]]:
             head = [str(step.index), name] if first else ["", ""]
             rows.append([*head, term.name, _between(term.earliest_ns, term.latest_ns), *shown])
     return rows
+
+
+def _later(step: StepReport) -> list[str]:
+    """Predicted end and path skew."""
+    budget = step.budget
+    lines: list[str] = []
+    for what, said in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
+        if said is not None and len(step.members) > 1:
+            allowed = "" if said.allowed_ns is None else f", allowed {said.allowed_ns / 1e6:g} ms"
+            lines.append(
+                f"step {step.index}: {what} skew at most {said.predicted_ns / 1e6:.1f} ms{allowed}; worst is "
+                f"{said.worst_member}"
+            )
+    return lines
 
 
 def _between(earliest_ns: int, latest_ns: int) -> str:
