@@ -92,10 +92,11 @@ class Proposing:
             moving.proposals, {member: moving.profiles(member) for member in movers}, moving.plan.duration_s
         )
         if step.sync != "none":
-            budget.end = predict_end(budget, ways, step.max_end_skew or job.max_end_skew)
-            budget.path = predict_path(budget, ways, step.max_path_skew or job.max_path_skew)
-            _require("end", budget.end)
-            _require("path", budget.path)
+            end = predict_end(budget, ways, step.max_end_skew or job.max_end_skew)
+            path = predict_path(budget, ways, step.max_path_skew or job.max_path_skew)
+            moving.budget = budget.model_copy(update={"end": end, "path": path})
+            _require("end", end)
+            _require("path", path)
 
     # Inside
 
