@@ -17,6 +17,7 @@ def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMa
         drift_ppm=mapping.drift_ppm,
         age_ns=max(0, now_ns - mapping.host_at_ns),
         samples=mapping.samples,
+        consistent=mapping.consistent,
         min_rtt_ns=mapping.min_rtt_ns,
         valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),
     )

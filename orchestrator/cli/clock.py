@@ -69,7 +69,7 @@ def _cells(mapping: ClockMapping | None) -> list[str]:
         _ms(_bound_ns(mapping, 5_000_000_000)),
         f"{mapping.age_ns / 1e9:.1f} s",
         str(mapping.samples),
-        _ms(mapping.residual_ns),
+        _ms(mapping.residual_ns) if mapping.consistent else "outside the model",
     ]
 
 
@@ -86,6 +86,7 @@ def _lines(reply: ClockReply) -> list[tuple[str, str]]:
         ),
         ("bound", f"{_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs a second; guaranteed"),
         ("readings", f"{mapping.samples}, {_ms(mapping.residual_ns)} from the mapping on average"),
+        ("model", "fits" if mapping.consistent else "does not fit: a crystal beyond 100 ppm, or a clock that was set"),
         ("round trips", f"the fastest took {_ms(mapping.min_rtt_ns)}"),
     ]
 

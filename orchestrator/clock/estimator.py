@@ -47,7 +47,7 @@ class TickMapping:
     """host_ns = host_at_ns + (ticks - ticks_at) * tick_ns: the host time at which the counter became `ticks`.
 
     bound_ns: guaranteed error at `host_at_ns`; grows with `drift_ppm` from there. residual_ns: how far the readings
-    are from the mapping on average.
+    are from the mapping on average. consistent: all readings fit the model; else this is the last one alone.
     """
 
     ticks_at: int
@@ -59,6 +59,7 @@ class TickMapping:
     drift_ppm: float
     samples: int
     min_rtt_ns: int
+    consistent: bool = True
 
     def host_ns(self, ticks: int) -> int:
         """Host time at which the counter becomes `ticks`."""
@@ -112,6 +113,7 @@ class TickEstimator:
         last, nominal = self._samples[-1], self._nominal_tick_ns
         gates = _Gates(list(self._samples), nominal)
         lines = gates.lines()
+        consistent = lines is not None
         if lines is None:
             # Outside the model (a delay that nothing allows for, a crystal beyond MAX_PPM): the last reading alone.
             gates = _Gates([last], nominal)
@@ -130,6 +132,7 @@ class TickEstimator:
             drift_ppm=lines.rate_bound * 1e6 + AHEAD_PPM,
             samples=len(self._samples),
             min_rtt_ns=min(sample.received_ns - sample.sent_ns for sample in self._samples),
+            consistent=consistent,
         )
 
 

@@ -186,7 +186,8 @@ class ClockMapping(Model):
     """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns.
 
     bound_ns: guaranteed error at host_at_ns, which was age_ns ago when this was said; it grows with drift_ppm.
-    rate_ppm: how far its tick is longer than it should be. residual_ns: mean distance of the readings.
+    rate_ppm: how far its tick is longer than it should be. residual_ns: mean distance of the readings. consistent: they
+    all fit the model of link and crystal; else the last one stands alone.
     """
 
     controller: Id
@@ -201,6 +202,7 @@ class ClockMapping(Model):
     samples: int
     min_rtt_ns: Int53
     valid_until_ns: HostNs
+    consistent: bool = True
 
 
 class ClockReply(Model):

@@ -1,5 +1,6 @@
 """The clock estimate: its bound holds the truth, whatever the crystal, and a reset is noticed."""
 
+from collections.abc import Callable
 from random import Random
 
 import pytest
@@ -43,3 +44,89 @@ def test_a_reset_counter_is_noticed_and_learned_anew() -> None:
     mapping = estimator.mapping()
     assert mapping is not None
     assert mapping.samples == 1
+
+
+def learnt(
+    crystal: Oscillator,
+    draw: Random,
+    count: int,
+    way_ns: Callable[[int, Random], tuple[int, int]],
+    every_ns: int = 200_000_000,
+) -> tuple[TickEstimator, int]:
+    """An estimator with `count` readings over a link; way_ns: the request's and the reply's time, by reading."""
+    estimator, now_ns = TickEstimator(TICK_NS), 10**10
+    for k in range(count):
+        now_ns += every_ns + draw.randrange(5_000_000)
+        there_ns, back_ns = way_ns(k, draw)
+        ticks = int(crystal.device_ns(now_ns + there_ns) // TICK_NS)
+        assert estimator.add(Sample(now_ns, now_ns + there_ns + back_ns, ticks))
+    return estimator, now_ns
+
+
+def error_and_bound(estimator: TickEstimator, crystal: Oscillator, at_ns: int) -> tuple[int, int]:
+    mapping = estimator.mapping()
+    assert mapping is not None
+    tick = int(crystal.device_ns(at_ns) // TICK_NS)
+    return abs(mapping.host_ns(tick) - crystal.true_ns(round(tick * TICK_NS))), mapping.bound_at_ns(at_ns)
+
+
+WAYS: dict[str, Callable[[int, Random], tuple[int, int]]] = {
+    "symmetric": lambda _, draw: (100_000 + draw.randrange(50_000), 100_000 + draw.randrange(50_000)),
+    "slow requests, which nobody sees": lambda _, draw: (3_000_000 + draw.randrange(50_000), 100_000),
+    "replies that are held back": lambda _, draw: (100_000, 100_000 + draw.randrange(16_000_000)),
+    "replies that are always held back": lambda _, draw: (100_000, 16_100_000 + draw.randrange(1000)),
+    "a link that becomes slow": lambda k, draw: (100_000 + (k > 100) * 9_000_000, 100_000 + draw.randrange(50_000)),
+    "retries": lambda _, draw: (100_000, 100_000 + (draw.random() < 0.05) * 200_000_000),
+}
+
+
+@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("count", [1, 2, 7, 40, 300])
+def test_the_bound_holds_over_every_link(name: str, count: int) -> None:
+    for seed in range(12):
+        draw = Random(f"{name} {count} {seed}")
+        crystal = Oscillator(draw.randrange(10**12), draw.uniform(-90, 90), 0.05, seed)
+        estimator, now_ns = learnt(crystal, draw, count, WAYS[name])
+        for ahead_ns in (0, 10**9, 20 * 10**9):
+            error_ns, bound_ns = error_and_bound(estimator, crystal, now_ns + ahead_ns)
+            assert error_ns <= bound_ns
+        mapping = estimator.mapping()
+        assert mapping is not None and mapping.consistent
+
+
+def test_a_crystal_beyond_the_model_is_told_and_the_last_reading_is_still_believed() -> None:
+    draw = Random(3)
+    crystal = Oscillator(5, 400.0)
+    estimator, now_ns = learnt(crystal, draw, 200, WAYS["symmetric"])
+    mapping = estimator.mapping()
+    assert mapping is not None and not mapping.consistent
+    error_ns, bound_ns = error_and_bound(estimator, crystal, now_ns)
+    assert error_ns <= bound_ns
+
+
+def test_a_clock_that_is_set_forward_is_learned_anew() -> None:
+    draw = Random(4)
+    crystal = Oscillator(5, 20.0)
+    estimator, now_ns = learnt(crystal, draw, 100, WAYS["symmetric"])
+    jump = round(2e9 / TICK_NS)
+    at_ns = now_ns + 10**8
+    assert not estimator.add(Sample(at_ns, at_ns + 200_000, int(crystal.device_ns(at_ns) // TICK_NS) + jump))
+    mapping = estimator.mapping()
+    assert mapping is not None and mapping.samples == 1
+    # With one reading nothing is known of the rate, and that is said.
+    assert mapping.drift_ppm >= 100
+
+
+def test_a_host_that_slept_believes_its_old_readings_less() -> None:
+    """Its raw clock goes on, the crystal may have wandered meanwhile."""
+    draw = Random(5)
+    crystal = Oscillator(5, 20.0, 0.05, 5)
+    estimator, now_ns = learnt(crystal, draw, 200, WAYS["symmetric"])
+    before = estimator.mapping()
+    woken_ns = now_ns + 3600 * 10**9
+    assert estimator.add(Sample(woken_ns, woken_ns + 250_000, int(crystal.device_ns(woken_ns + 120_000) // TICK_NS)))
+    mapping = estimator.mapping()
+    assert before is not None and mapping is not None and mapping.consistent
+    error_ns, bound_ns = error_and_bound(estimator, crystal, woken_ns + 10**9)
+    assert error_ns <= bound_ns
+    assert mapping.bound_ns > before.bound_ns
