@@ -17,11 +17,18 @@ from orchestrator.model.base import Model
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
-from orchestrator.model.report import ENDED, JobReport, Progress, QueueState, StepRecording
+from orchestrator.model.queue import Terms
+from orchestrator.model.report import ENDED, JobReport, JobState, Progress, QueueEntry, QueueState, StepRecording
 from orchestrator.model.service import (
+    Again,
+    AgainReply,
     JobRef,
+    JobRefs,
     JobShown,
     ListJobs,
+    MoveJob,
+    Prune,
+    Pruned,
     Recorded,
     RecordingRef,
     Reload,
@@ -43,6 +50,7 @@ ANSWER_S = 3.0
 STOP_LOOK_S = 0.3  # for seeing whom to stop: an adapter that takes longer to say that it is there hangs
 DRY_RUN_S = 30.0
 RELOAD_S = 60.0
+PRUNE_S = 60.0
 WIRING_S = 60.0
 
 
@@ -89,21 +97,34 @@ class Tutti:
 
     # Jobs
 
-    async def submit(self, job: Job, client_key: str | None = None) -> str:
-        """Submit a job: its id, once it is safe in the journal. A job without an actor gets ours. Raises `Refused`."""
+    async def submit(self, job: Job, client_key: str | None = None, terms: Terms | None = None) -> str:
+        """Submit a job: its id, once it is safe in the journal. A job without an actor gets ours. Raises `Refused`.
+
+        terms: its place in the queue: priority, repeats, after which job or at what time it begins.
+        """
+        return (await self.enqueue(job, client_key, terms)).id
+
+    async def enqueue(self, job: Job, client_key: str | None = None, terms: Terms | None = None) -> QueueEntry:
+        """Submit a job, and see how it stands in the queue. Raises `Refused`."""
         if job.actor == UNKNOWN_ACTOR:
             job = job.model_copy(update={"actor": self.actor})
-        request = Submit(**self.fields(), job=job, client_key=client_key or self.new_id())
-        return (await self.service("submit", request, Submitted)).job_id
+        request = Submit(**self.fields(), job=job, client_key=client_key or self.new_id(), terms=terms or Terms())
+        entry = (await self.service("submit", request, Submitted)).entry
+        assert entry is not None
+        return entry
 
     async def dry_run(self, job: Job) -> dict[str, Any]:
         """What each motion step would take, from where the fleet stands now. Raises `Refused`."""
         request = Submit(**self.fields(), job=job, client_key=self.new_id(), dry_run=True)
         return (await self.service("submit", request, Submitted, DRY_RUN_S)).dry_run or {}
 
-    async def jobs(self, limit: int = 50) -> QueueState:
-        """The newest jobs, newest first."""
-        return await self._ask_service("list", ListJobs(**self.fields(), limit=limit), QueueState, ANSWER_S)
+    async def jobs(
+        self, limit: int = 50, state: JobState | None = None, name: str = "", since: str | None = None
+    ) -> QueueState:
+        """The newest jobs, newest first: in `state`, with `name` in their name, submitted at `since` (RFC 3339) or
+        later. `total` says how many there are. Raises `Refused`."""
+        request = ListJobs(**self.fields(), limit=limit, state=state, name=name, since=since)
+        return await self._ask_service("list", request, QueueState, ANSWER_S)
 
     async def show(self, job_id: str) -> JobShown:
         """Everything the journal has of a job. Raises `Refused`."""
@@ -117,6 +138,50 @@ class Tutti:
     async def cancel(self, job_id: str) -> None:
         """Cancel a job, queued or running. Raises `Refused`."""
         await self.service("cancel", JobRef(**self.fields(), job_id=job_id), Reply)
+
+    async def hold(self, *job_ids: str) -> None:
+        """Keep queued jobs from beginning. Raises `Refused`: code `not-queued`."""
+        await self.service("hold", JobRefs(**self.fields(), job_ids=list(job_ids)), Reply)
+
+    async def release(self, *job_ids: str) -> None:
+        """Let held jobs begin when it is their turn; without any, all that are held. Raises `Refused`."""
+        await self.service("release-job", JobRefs(**self.fields(), job_ids=list(job_ids)), Reply)
+
+    async def move(self, job_id: str, before: str) -> None:
+        """Put a queued job before another one, with that one's priority. Raises `Refused`: code `not-queued`."""
+        await self.service("move", MoveJob(**self.fields(), job_id=job_id, before=before), Reply)
+
+    async def pause(self, job_id: str) -> None:
+        """Hold a running job when its present step has ended; it keeps its axes. Raises `Refused`: `not-running`."""
+        await self.service("pause", JobRef(**self.fields(), job_id=job_id), Reply)
+
+    async def resume(self, job_id: str) -> None:
+        """Go on with a paused job. Raises `Refused`: codes `not-running`, `not-paused`."""
+        await self.service("resume", JobRef(**self.fields(), job_id=job_id), Reply)
+
+    async def again(
+        self,
+        job_id: str,
+        from_step: int = 0,
+        dry_run: bool = False,
+        terms: Terms | None = None,
+        client_key: str | None = None,
+    ) -> AgainReply:
+        """Do an ended job again, from a step on: a new job. With `dry_run` only what remains of it, and where its axes
+        stand now. Raises `Refused`: codes `not-ended`, `no-step`."""
+        request = Again(
+            **self.fields(),
+            job_id=job_id,
+            from_step=from_step,
+            dry_run=dry_run,
+            terms=terms,
+            client_key=client_key or self.new_id(),
+        )
+        return await self.service("retry", request, AgainReply)
+
+    async def prune(self, older_s: float, keep: int) -> int:
+        """Forget ended jobs that were submitted more than `older_s` ago, but none of the newest `keep`; how many."""
+        return (await self.service("prune", Prune(**self.fields(), older_s=older_s, keep=keep), Pruned, PRUNE_S)).jobs
 
     async def wait(
         self, job_id: str, on_progress: Callable[[Progress], None] | None = None, poll_s: float = 1.0
@@ -163,7 +228,8 @@ class Tutti:
         return {state.controller: state for state in sorted(states, key=lambda each: each.controller)}
 
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
-        """Stop every controller, directly, and the running job. What each controller answered, by id."""
+        """Stop every controller, directly, and the running jobs, and hold what is queued. What each controller
+        answered, by id."""
         request = Stop(**self.fields(), mode="abort" if mode == "abort" else "decelerate")
         fleet = StopFleet(**self.fields(), mode=request.mode)
         # The coordinator knows all controllers, and the job; who is there is asked meanwhile, for it may be away.

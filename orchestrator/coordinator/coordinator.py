@@ -13,14 +13,16 @@ from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import Clock
 from orchestrator.coordinator.hands import Hands
 from orchestrator.coordinator.homing import Homing
-from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.job_run import Interrupted, Works
+from orchestrator.coordinator.journal import Journal, JournalError, Runs
 from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.motion import Motion
+from orchestrator.coordinator.office import Office
 from orchestrator.coordinator.permits import Permits
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.reload import Reloading
-from orchestrator.coordinator.runner import Interrupted, Runner, queue_state
+from orchestrator.coordinator.runner import Runner
 from orchestrator.coordinator.steps import PlainSteps, check_job
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
@@ -29,11 +31,17 @@ from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Move
 from orchestrator.model.messages import Adopt, Adopted, Refusal, Reply, Request
+from orchestrator.model.report import QueueState
 from orchestrator.model.service import (
+    Again,
     GiveBack,
     JobRef,
+    JobRefs,
     JobShown,
     ListJobs,
+    MoveJob,
+    Prune,
+    Pruned,
     Recorded,
     RecordingRef,
     Reload,
@@ -84,19 +92,21 @@ class Coordinator:
         targets = self._motion.targets
         homing = Homing(self._view, members, permits, targets, self._motion.stop)
         plain = self._plain = PlainSteps(self._view, members, clock, targets, homing)
-        self.runner = Runner(
-            bus,
-            keys,
-            clock,
-            court.journal,
-            court.runs,
-            self._view,
-            self._motion,
-            plain,
-            self._leases,
-            self.throne,
-            self._log,
+        works = Works(
+            bus=bus,
+            keys=keys,
+            clock=clock,
+            journal=court.journal,
+            runs=court.runs,
+            view=self._view,
+            motion=self._motion,
+            plain=plain,
+            leases=self._leases,
+            throne=self.throne,
+            log=self._log,
         )
+        self.runner = Runner(works)
+        self._office = Office(works, self.runner, court.new_id)
         self._hands = Hands(self._view, self._leases, permits)
         self._reloading = Reloading(self._view, members, self._leases, clock, court.save_fleet)
         self._wiring = WiringCheck(self._view, members, self._leases, clock)
@@ -111,6 +121,13 @@ class Coordinator:
             "show": (JobRef, self._show),
             "recording": (RecordingRef, self._recording),
             "cancel": (JobRef, self._cancel),
+            "retry": (Again, self._again),
+            "hold": (JobRefs, self._hold),
+            "release-job": (JobRefs, self._release_jobs),
+            "move": (MoveJob, self._move),
+            "pause": (JobRef, self._pause),
+            "resume": (JobRef, self._resume),
+            "prune": (Prune, self._prune),
             "stop": (StopFleet, self._stop),
             "take": (Take, self._take),
             "release": (GiveBack, self._release),
@@ -211,27 +228,22 @@ class Coordinator:
             raise RequestRefused(f"{verb}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
         if self.throne.over:
             raise RequestRefused("this coordinator reigns no more; ask again")
-        return (await handler(request)).to_json()
+        try:
+            return (await handler(request)).to_json()
+        except JournalError as error:
+            self._log.warning(str(error))
+            if verb == "list":  # its answer has no room for a refusal
+                raise RequestRefused(str(error)) from None
+            return Reply(refused=Refusal(code="journal", text=error.text, remedy=error.remedy)).to_json()
 
     async def _submit(self, request: Submit) -> Reply:
-        try:
-            check_job(self._view.fleet, list(request.job.steps))
-            if request.dry_run:
+        if request.dry_run:
+            try:
+                check_job(self._view.fleet, list(request.job.steps))
                 return Submitted(dry_run=await self._dry_run(request))
-        except Refuse as error:
-            return Submitted(refused=error.refusal)
-        job_id, fresh = await self._court.runs(
-            self._court.journal.accept,
-            self._court.new_id()[:8],
-            request.client_key,
-            request.job,
-            self._court.clock.utc(),
-        )
-        if fresh:
-            self._log.info(f"accepted {request.job.name!r} from {request.actor}", job=job_id)
-            await self.runner.publish_queue()
-        self.runner.wake()
-        return Submitted(job_id=job_id)
+            except Refuse as error:
+                return Submitted(refused=error.refusal)
+        return await self._office.submit(request)
 
     async def _dry_run(self, request: Submit) -> dict[str, Any]:
         """What each motion step would take, each planned from where the axes stand now."""
@@ -242,7 +254,10 @@ class Coordinator:
         return steps
 
     async def _list(self, request: ListJobs) -> Model:
-        return queue_state(await self._court.runs(self._court.journal.recent, request.limit))
+        find = self._court.journal.find
+        values = (request.limit, request.state, request.name, request.since or "")
+        rows, total = await self._court.runs(find, *values)
+        return QueueState(total=total, jobs=self.runner.entries(rows))
 
     async def _show(self, request: JobRef) -> Model:
         journal, runs = self._court.journal, self._court.runs
@@ -253,7 +268,7 @@ class Coordinator:
             )
         job, report = await runs(journal.job, row.id), await runs(journal.report, row.id)
         return JobShown(
-            entry=queue_state([row]).jobs[0],
+            entry=self.runner.entry(row),
             job=job,
             report=report,
             transitions=await runs(journal.transitions, row.id),
@@ -266,9 +281,30 @@ class Coordinator:
     async def _cancel(self, request: JobRef) -> Model:
         return Reply(refused=await self.runner.cancel(request.job_id, request.actor))
 
+    async def _again(self, request: Again) -> Model:
+        return await self._office.again(request)
+
+    async def _hold(self, request: JobRefs) -> Model:
+        return Reply(refused=await self.runner.hold(request.job_ids, request.actor))
+
+    async def _release_jobs(self, request: JobRefs) -> Model:
+        return Reply(refused=await self.runner.release(request.job_ids, request.actor))
+
+    async def _move(self, request: MoveJob) -> Model:
+        return Reply(refused=await self.runner.move(request.job_id, request.before, request.actor))
+
+    async def _pause(self, request: JobRef) -> Model:
+        return Reply(refused=await self.runner.pause(request.job_id, request.actor))
+
+    async def _resume(self, request: JobRef) -> Model:
+        return Reply(refused=await self.runner.resume(request.job_id, request.actor))
+
+    async def _prune(self, request: Prune) -> Model:
+        return Pruned(jobs=await self._office.prune(request))
+
     async def _stop(self, request: StopFleet) -> Model:
         interrupt = Interrupted("aborted", f"stopped by {request.actor}", request.actor)
-        await self.runner.interrupt(interrupt, request.mode)
+        await self.runner.stop(interrupt, request.mode)
         return Reply()
 
     async def _take(self, request: Take) -> Model:
@@ -293,6 +329,7 @@ class Coordinator:
             first = error.errors()[0]
             text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
             return Reloaded(refused=Refusal(code="bad-file", text=text, remedy="correct the fleet file"))
+        self.runner.forget_needs()
         self._log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
         return Reloaded(changed=changed)
 

@@ -1,7 +1,7 @@
 """Who may move which axes: one holder each, known here, enforced in the adapters, visible on the bus."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from orchestrator.bus.base import Bus, BusError, Declared, Priority, Sample
@@ -35,8 +35,12 @@ class Held:
     brief: bool = False
 
 
+class InUse(Refuse):
+    """Somebody else has one of the axes."""
+
+
 class LeaseBook:
-    """All leases of the fleet."""
+    """All leases of the fleet. `on_freed` is called when axes have been given back."""
 
     def __init__(self, view: FleetView, members: Members, clock: Clock, bus: Bus, keys: Keys, log: Log) -> None:
         self._view = view
@@ -49,6 +53,7 @@ class LeaseBook:
         self._given_back = asyncio.Event()
         self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
+        self.on_freed: Callable[[], None] = lambda: None
 
     async def start(self) -> None:
         """Begin to renew what is held, and to say who holds what to those who ask."""
@@ -84,14 +89,14 @@ class LeaseBook:
         self, holder: str, actor: str, what: str, axes: Iterable[str], ttl_ns: int | None = None, brief: bool = False
     ) -> tuple[str, ...]:
         """Take `axes` for `holder`, or go on holding them; gives all that are held by it for that: whole controllers
-        where axes can not be told apart. Raises `Refuse`; then nothing is held that was not before."""
+        where axes can not be told apart. Raises `InUse`, `Refuse`; then nothing is held that was not before."""
         whole = await self._whole(axes)
         while (other := self.conflict(whole, holder)) is not None and other.brief:
             self._given_back.clear()
             await self._given_back.wait()
         if other is not None:
             theirs = next(axis for axis in whole if axis in other.axes)
-            raise Refuse(
+            raise InUse(
                 "leased",
                 f"{theirs} is in use by {other.actor} ({other.what})",
                 "wait for its end, or ask them",
@@ -129,6 +134,7 @@ class LeaseBook:
         self._held.pop(holder, None)
         self._given_back.set()
         self._publish(held, None)
+        self.on_freed()
 
     async def _whole(self, axes: Iterable[str]) -> tuple[str, ...]:
         """`axes`, and with them all of the controllers whose axes can only be held together. Raises `Refuse`."""

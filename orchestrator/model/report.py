@@ -7,6 +7,7 @@ from pydantic import Field
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import Refusal, Term
 from orchestrator.model.profile import Profile
+from orchestrator.model.queue import Terms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
 
 JobState = Literal[
@@ -16,6 +17,7 @@ JobState = Literal[
     "armed",
     "committed",
     "running",
+    "holding",
     "done",
     "failed",
     "cancelled",
@@ -153,6 +155,9 @@ class JobReport(Model):
     started_utc: str | None = None
     ended_utc: str | None = None
     max_start_skew_ns: Int53
+    repeat: int = 1
+    origin: str | None = Field(default=None, description="The job that this one does again.")
+    from_step: int = Field(default=0, description="The step that it began with.")
     steps: list[StepReport] = Field(default=[])
     transitions: list[Transition] = Field(default=[])
     notes: dict[str, Any] = Field(default={})
@@ -174,7 +179,11 @@ class Lease(Model):
 
 
 class QueueEntry(Model):
-    """A job in a list."""
+    """A job in a list. A job of N steps that is repeated has the steps 0 to repeat * N - 1.
+
+    reason: of its state; of one that is queued, for whom it waits. place: in the queue, the next one is 1. held_by: who
+    holds it, if it is held. origin: the job that it does again, from step `from_step` on.
+    """
 
     id: str
     name: str
@@ -182,10 +191,17 @@ class QueueEntry(Model):
     state: JobState
     reason: str
     submitted_utc: str
+    place: int | None = None
+    terms: Terms = Terms()
+    held_by: str = ""
+    origin: str | None = None
+    from_step: int = 0
 
 
 class QueueState(Model):
-    """Jobs in a list: those that wait and run on `queue`, the newest in the answer to `svc/list`."""
+    """Jobs in a list: on `queue` those that run, then those that wait, in the queue's order (the first of them, of
+    `total` in all); in the answer to `svc/list` the newest of those asked for, newest first."""
 
     schema_: Literal["tutti.queue/1"] = Field(default="tutti.queue/1", alias="schema")
+    total: int = 0
     jobs: list[QueueEntry]

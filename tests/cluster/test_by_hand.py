@@ -212,12 +212,15 @@ def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
                 leases = (await ben.bus.request_all(ben.keys.leases, b"", timeout_s=1.0)).values()
                 found = {each.controller: each.actor for each in map(Lease.model_validate_json, leases)}
                 assert found == {"gantry": "anna", "stage": "ben"}
-            report = await ben.wait(await ben.submit(job("[{do: move, to: {gantry.y: 5}}]")))
-            assert report.state == "failed"
-            assert "gantry.x is in use by anna (jog panel)" in report.reason
+            waiting = await ben.submit(job("[{do: move, to: {gantry.y: 5}}]"))
+            await asyncio.sleep(0.1)
+            shown = (await ben.show(waiting)).entry
+            assert shown is not None
+            assert (shown.state, shown.reason) == ("queued", "waits for gantry: in use by anna (jog panel)")
             # What goes past the service is refused by the adapter itself.
             with pytest.raises(Refused, match="is held by anna"):
                 await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 1)
+        assert (await ben.wait(waiting)).state == "done"
         moving = await anna.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
         await fleet.until(lambda states: states["gantry"].mode == "moving")
         with pytest.raises(Refused, match=r"gantry\.x is in use by anna \(job 'test'\)"):

@@ -124,8 +124,9 @@ def test_cancel_queued_and_running() -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE)
         running = await client.submit(job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]"))
-        queued = await client.submit(job("[{do: dwell, duration: 1 s}]"))
+        queued = await client.submit(job("[{do: home, axes: [gantry]}]"))
         await asyncio.sleep(1.0)
+        assert (await client.jobs()).jobs[0].state == "queued"
         await client.cancel(queued)
         await client.cancel(running)
         assert (await client.wait(running)).state == "cancelled"

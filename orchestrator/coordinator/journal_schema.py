@@ -1,0 +1,52 @@
+"""The tables of the journal, and the way there from the tables of older versions."""
+
+VERSION = 3
+
+SCHEMA = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE jobs (
+  number INTEGER PRIMARY KEY AUTOINCREMENT,
+  id TEXT UNIQUE NOT NULL,
+  client_key TEXT UNIQUE NOT NULL,
+  name TEXT NOT NULL,
+  actor TEXT NOT NULL,
+  body TEXT NOT NULL,
+  state TEXT NOT NULL,
+  reason TEXT NOT NULL,
+  submitted_utc TEXT NOT NULL
+) STRICT;
+CREATE INDEX jobs_state ON jobs (state);
+CREATE TABLE transitions (
+  job_id TEXT NOT NULL REFERENCES jobs (id),
+  state TEXT NOT NULL, reason TEXT NOT NULL, actor TEXT NOT NULL, utc TEXT NOT NULL, fleet_ns INTEGER
+) STRICT;
+CREATE INDEX transitions_job ON transitions (job_id);
+CREATE TABLE decisions (
+  job_id TEXT NOT NULL, step INTEGER NOT NULL, epoch INTEGER NOT NULL, t0_fleet_ns INTEGER NOT NULL,
+  members TEXT NOT NULL, utc TEXT NOT NULL
+) STRICT;
+CREATE TABLE reports (job_id TEXT PRIMARY KEY REFERENCES jobs (id), body TEXT NOT NULL) STRICT;
+"""
+# What leads from the schema of a version to that of the next; a new journal goes through all of them.
+MIGRATIONS = {
+    1: """
+CREATE TABLE recordings (
+  job_id TEXT NOT NULL REFERENCES jobs (id), step INTEGER NOT NULL, body TEXT NOT NULL,
+  PRIMARY KEY (job_id, step)
+) STRICT;
+""",
+    2: """
+ALTER TABLE jobs ADD COLUMN priority INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN place INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN repeat INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE jobs ADD COLUMN after_job TEXT;
+ALTER TABLE jobs ADD COLUMN at_utc TEXT;
+ALTER TABLE jobs ADD COLUMN missed TEXT NOT NULL DEFAULT 'skip';
+ALTER TABLE jobs ADD COLUMN due INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE jobs ADD COLUMN held_by TEXT NOT NULL DEFAULT '';
+ALTER TABLE jobs ADD COLUMN origin TEXT;
+ALTER TABLE jobs ADD COLUMN from_step INTEGER NOT NULL DEFAULT 0;
+UPDATE jobs SET place = number;
+CREATE INDEX decisions_job ON decisions (job_id);
+""",
+}

@@ -1,0 +1,50 @@
+"""How a job stands in the queue: when it may begin, and before whom. What the job does is in the job itself."""
+
+from datetime import UTC, datetime
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from orchestrator.model.base import Model
+
+MOST_STEPS = 10_000  # of a job with all its repeats
+
+
+def parse_utc(text: str) -> datetime:
+    """The instant of RFC 3339 text. Raises `ValueError` for other text, and for a time without its offset."""
+    try:
+        instant = datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no RFC 3339 time; write e.g. 2026-11-21T22:00:00+01:00") from None
+    if instant.tzinfo is None:
+        raise ValueError(f"{text!r} does not say its offset from UTC; write e.g. {text}Z or {text}+01:00")
+    try:
+        return instant.astimezone(UTC)
+    except OverflowError:
+        raise ValueError(f"{text!r} is beyond the calendar") from None
+
+
+def format_utc(instant: datetime) -> str:
+    """RFC 3339 UTC with microseconds, as `Clock.utc` gives it: such texts are in order when their instants are."""
+    return instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ").rjust(27, "0")
+
+
+def _in_utc(value: object) -> object:
+    return format_utc(parse_utc(value)) if isinstance(value, str) else value
+
+
+Utc = Annotated[str, BeforeValidator(_in_utc)]
+"""An RFC 3339 instant, kept as UTC with microseconds."""
+
+
+class Terms(Model):
+    """What a job's submitter says about its place in the queue."""
+
+    priority: int = Field(default=0, ge=-100, le=100, description="Higher ones come first.")
+    repeat: int = Field(default=1, ge=1, le=MOST_STEPS, description="How often its steps are run, one after the other.")
+    after: str | None = Field(default=None, max_length=64, description="Id of the job that must be done before.")
+    at: Utc | None = Field(default=None, description="Not before this time.")
+    missed: Literal["run", "skip"] = Field(
+        default="skip", description="What becomes of it when nobody reigned at its time."
+    )
+    held: bool = Field(default=False, description="It waits until it is released.")

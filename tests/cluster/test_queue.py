@@ -1,0 +1,274 @@
+"""The queue: jobs side by side, in their order where they need the same, and what people change of it."""
+
+import asyncio
+
+import pytest
+from cluster.worlds import PREPARE, job, outcome, run_fleet
+
+from orchestrator.bus.base import Sample
+from orchestrator.client.api import Refused, Tutti
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.queue import Terms
+from orchestrator.model.report import QueueEntry, QueueState
+
+GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.2}, {do: move, to: {gantry.x: 0}, speed: 0.2}]")
+STAGE = job("[{do: move, to: {stage.u: 20}, speed: 0.5}]")
+BOTH = job("[{do: move, to: {gantry.y: 20, stage.u: 2}}]")
+SHORT = job("[{do: move, by: {gantry.y: 1}}]")
+
+
+async def entry(client: Tutti, job_id: str) -> QueueEntry:
+    found = (await client.show(job_id)).entry
+    assert found is not None
+    return found
+
+
+async def begins(client: Tutti, *job_ids: str) -> list[str]:
+    """Ids in the order in which they began."""
+    reports = [await client.wait(each) for each in job_ids]
+    assert [each.state for each in reports] == ["done"] * len(reports), [each.reason for each in reports]
+    return [each.job_id for each in sorted(reports, key=lambda each: each.started_utc or "")]
+
+
+def test_jobs_without_a_controller_in_common_run_at_the_same_time() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        first, second = await client.submit(GANTRY), await client.submit(STAGE)
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        # Cancelling one does not touch the other.
+        await client.cancel(first)
+        assert (await client.wait(first)).state == "cancelled"
+        assert (await client.status())["stage"].mode == "moving"
+        report = await client.wait(second)
+        assert report.state == "done", report.reason
+        assert fleet.controllers["stage"].position("1") == 200_000
+
+    run_fleet(main)
+
+
+def test_a_wide_job_is_not_starved_by_small_ones() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        running = await client.submit(GANTRY)
+        wide = await client.submit(BOTH)
+        small = [await client.submit(STAGE), await client.submit(SHORT)]
+        await asyncio.sleep(0.5)
+        # The stage is free, and kept for the job that has waited longer.
+        assert (await client.status())["stage"].mode == "idle"
+        assert (await entry(client, wide)).reason == f"waits for gantry: job {running} 'test' of anna"
+        assert (await entry(client, small[0])).reason == f"waits for stage: job {wide} 'test' of anna comes first"
+        assert [(await entry(client, each)).place for each in (running, wide, *small)] == [None, 1, 2, 3]
+        assert await begins(client, running, wide, *small) == [running, wide, *small]
+
+    run_fleet(main)
+
+
+def test_a_job_waits_for_a_hand_and_begins_when_it_lets_go() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        anna, ben = fleet.client("anna"), fleet.client("ben")
+        await outcome(fleet, PREPARE)
+        heard: list[str] = []
+
+        async with anna.by_hand(["gantry.x"], what="alignment"):
+            waiting, free = await ben.submit(BOTH), await ben.submit(job("[{do: dwell, duration: 1 s}]"))
+
+            def hear(sample: Sample) -> None:
+                heard.extend(each.reason for each in QueueState.model_validate_json(sample.payload).jobs)
+
+            await ben.bus.subscribe(ben.keys.queue, hear)
+            assert (await ben.wait(free)).state == "done"
+            assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (alignment)"
+        assert (await ben.wait(waiting)).state == "done"
+        assert "waits for gantry: in use by anna (alignment)" in heard
+
+    run_fleet(main)
+
+
+def test_priority_hold_release_and_order() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        running = await client.submit(GANTRY)
+        a, b, c, d, e = [
+            await client.submit(SHORT, terms=terms)
+            for terms in (Terms(), Terms(), Terms(priority=5), Terms(held=True), Terms(priority=-1))
+        ]
+        await client.move(e, before=a)
+        assert (await entry(client, e)).terms.priority == 0
+        await client.hold(b)
+        shown = await entry(client, b)
+        assert (shown.reason, shown.held_by) == ("held by anna", "anna")
+        assert await begins(client, running, c, e, a) == [running, c, e, a]
+        assert [(await entry(client, each)).state for each in (b, d)] == ["queued", "queued"]
+        await client.release(d)
+        assert (await client.wait(d)).state == "done"
+        await client.release()
+        report = await client.wait(b)
+        assert [(each.state, each.reason, each.actor) for each in report.transitions[:3]] == [
+            ("queued", "submitted", "anna"),
+            ("queued", "held by anna", "anna"),
+            ("queued", "released by anna", "anna"),
+        ]
+
+    run_fleet(main)
+
+
+def test_what_is_asked_of_a_job_in_another_state_is_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        running, queued = await client.submit(GANTRY), await client.submit(SHORT)
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        for asked, code in (
+            (client.hold(running), "not-queued"),
+            (client.move(running, before=queued), "not-queued"),
+            (client.move(queued, before=queued), "same-job"),
+            (client.pause(queued), "not-running"),
+            (client.resume(queued), "not-running"),
+            (client.resume(running), "not-paused"),
+            (client.again(running), "not-ended"),
+            (client.hold("nothing"), "unknown-job"),
+        ):
+            with pytest.raises(Refused) as caught:
+                await asked
+            assert caught.value.refusal.code == code
+        await client.cancel(running)
+        await client.wait(queued)
+        with pytest.raises(Refused, match="is done already"):
+            await client.pause(queued)
+
+    run_fleet(main)
+
+
+def test_after_another_job() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        first = await client.submit(GANTRY)
+        then = await client.submit(STAGE, terms=Terms(after=first))
+        assert (await entry(client, then)).reason == f"begins when job {first} is done"
+        assert await begins(client, first, then) == [first, then]
+        late = await client.submit(STAGE, terms=Terms(after=first))
+        assert (await client.wait(late)).state == "done"
+        failing = await client.submit(job("[{do: dwell, duration: 1 s}, {do: move, to: {gantry.x: 999}}]"))
+        one = await client.submit(SHORT, terms=Terms(after=failing))
+        two = await client.submit(SHORT, terms=Terms(after=one))
+        report = await client.wait(two)
+        assert report.state == "cancelled"
+        assert report.reason.startswith(f"job {one}, which must be done before, is cancelled: job {failing}")
+        assert "soft limits" in report.reason
+        for unknown, code in ((failing, "not-done"), ("nothing", "unknown-job")):
+            with pytest.raises(Refused) as caught:
+                await client.submit(SHORT, terms=Terms(after=unknown))
+            assert caught.value.refusal.code == code
+
+    run_fleet(main)
+
+
+def test_a_job_is_repeated() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        before = fleet.controllers["gantry"].position("Y")
+        report = await client.wait(await client.submit(SHORT, terms=Terms(repeat=3)))
+        assert report.state == "done", report.reason
+        assert [step.index for step in report.steps] == [0, 1, 2]
+        assert fleet.controllers["gantry"].position("Y") == before + 3000
+        with pytest.raises(Refused) as caught:
+            await client.submit(GANTRY, terms=Terms(repeat=10_000))
+        assert caught.value.refusal.text == "2 steps 10000 times are 20000; 10000 are possible"
+
+    run_fleet(main)
+
+
+def test_pause_at_the_end_of_a_step_and_resume() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        anna, ben = fleet.client("anna"), fleet.client("ben")
+        await outcome(fleet, PREPARE)
+        job_id = await anna.submit(GANTRY)
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await ben.pause(job_id)
+        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await asyncio.sleep(5.0)
+        shown = await entry(anna, job_id)
+        assert shown.state == "holding"
+        assert fleet.controllers["gantry"].position("X") == 300_000
+        # Its axes stay its own.
+        with pytest.raises(Refused, match="is in use by anna"):
+            await ben.by_hand(["gantry.x"]).take()
+        await anna.resume(job_id)
+        report = await anna.wait(job_id)
+        assert report.state == "done", report.reason
+        holding = next(each for each in report.transitions if each.state == "holding")
+        assert (holding.reason, holding.actor) == ("paused by ben after step 0", "ben")
+        resumed = report.transitions[report.transitions.index(holding) + 1]
+        assert (resumed.state, resumed.reason, resumed.actor) == ("running", "resumed by anna", "anna")
+
+    run_fleet(main)
+
+
+def test_an_ended_job_is_done_again_from_a_step() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        job_id = await client.submit(
+            job(
+                "[{do: move, to: {gantry.x: 30}}, {do: move, to: {gantry.x: 390}, speed: 0.1}, {do: move, by: {gantry.y: 2}}]"
+            )
+        )
+        await asyncio.sleep(5.0)
+        await client.cancel(job_id)
+        assert (await client.wait(job_id)).state == "cancelled"
+        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        shown = await client.again(job_id, 1, dry_run=True)
+        here = fleet.controllers["gantry"].position("X") / 1000
+        assert 30 < here < 390
+        assert [(each.axis, each.position) for each in shown.axes] == [("gantry.x", here), ("gantry.y", 0.0)]
+        assert shown.steps == ["1 move gantry.x to 390", "2 move gantry.y by 2"]
+        assert shown.warnings == ["step 2 moves gantry.y by a distance, from where it stands now"]
+        assert len((await client.jobs()).jobs) == 2
+        fresh = (await client.again(job_id, 1, client_key="k")).job_id
+        assert (await client.again(job_id, 1, client_key="k")).job_id == fresh
+        report = await client.wait(fresh)
+        assert (report.state, report.origin, report.from_step) == ("done", job_id, 1), report.reason
+        assert [step.index for step in report.steps] == [1, 2]
+        with pytest.raises(Refused, match="has the steps 0 to 2"):
+            await client.again(job_id, 3)
+
+    run_fleet(main)
+
+
+def test_after_a_stop_nothing_begins_by_itself() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        running, beside, queued = [await client.submit(each) for each in (GANTRY, STAGE, SHORT)]
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        await client.stop()
+        assert [(await client.wait(each)).state for each in (running, beside)] == ["aborted", "aborted"]
+        await asyncio.sleep(2.0)
+        assert (await entry(client, queued)).reason == "held by anna"
+        assert (await outcome(fleet, STAGE)).state == "done"
+        await client.release(queued)
+        assert (await client.wait(queued)).state == "done"
+
+    run_fleet(main)
+
+
+def test_after_an_estop_and_its_reset_nothing_goes_on_by_itself() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        waits = await client.submit(job("[{do: enable, axes: [gantry]}, {do: dwell, duration: 5 s}, {do: home}]"))
+        queued = await client.submit(SHORT)
+        await asyncio.sleep(1.0)
+        await client.estop("a test")
+        await client.reset()
+        report = await client.wait(waits)
+        assert (report.state, report.reason) == ("aborted", "e-stop by anna: a test")
+        assert len(report.steps) == 2
+        assert (await entry(client, queued)).held_by == "anna"
+
+    run_fleet(main)
