@@ -1,10 +1,11 @@
 """`tutti bench clock` and `tutti bench sync`: how well clocks are known, and how well fleets start and end together."""
 
+import tempfile
 from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import console, json_option, print_json
+from orchestrator.cli.common import console, json_option, print_json, run
 
 
 @click.command(epilog="Example: tutti bench clock --trials 1000")
@@ -42,15 +43,19 @@ def clock(as_json: bool, trials: int, seed: int) -> None:
 @click.option(
     "--history", default=300, show_default=True, type=click.IntRange(5, 3600), help="Seconds of polls before."
 )
+@click.option("--live", type=click.IntRange(2, 10_000), help="So many steps with real sockets and processes instead.")
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Distributions of the start skews, a PNG."
 )
-def sync(as_json: bool, trials: int, seed: int, only: str, history: int, plot: Path | None) -> None:
+def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: int | None, plot: Path | None) -> None:
     """Start simulated fleets together, by the old ways and by Tutti's, and measure how well; in virtual time.
 
     Truth comes from the simulators. `misses` counts verdicts that do not hold it. Rows that are slow to simulate have
     fewer trials. A thousand trials take an hour or so; a hundred, with --history 60, some minutes.
     """
+    if live is not None:
+        _live(live, as_json)
+        return
     from orchestrator.lab.bench_sync import bench_sync
     from orchestrator.monitor.skew_plot import plot_skews
     from orchestrator.monitor.tables import plain_table
@@ -75,3 +80,24 @@ def sync(as_json: bool, trials: int, seed: int, only: str, history: int, plot: P
         if row.asked:
             kept = "kept" if row.met else "[red]not kept[/]"
             console.print(f"{row.fleet}, {row.way}: asked {row.asked}: {kept}; worst is {row.worst}")
+
+
+def _live(steps: int, as_json: bool) -> None:
+    from orchestrator.lab.bench_sync_live import bench_sync_live
+    from orchestrator.monitor.tables import plain_table
+
+    with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:
+        rows = run(
+            bench_sync_live(steps, Path(folder), lambda line: None if as_json else console.print(f"[dim]{line}[/]"))
+        )
+    if as_json:
+        print_json(
+            {"rows": [{**row._asdict(), "start": row.start._asdict(), "noise": row.noise._asdict()} for row in rows]}
+        )
+        return
+    table = plain_table(["start skew, ms", "p50>", "p99>", "max>", "outside evidence>", "noise p99>"])
+    for row in rows:
+        shown = (f"{each:.3g}" for each in (row.start.p50_ms, row.start.p99_ms, row.start.max_ms))
+        table.add_row(row.fleet, *shown, f"{row.outside} of {row.start.n}", f"{row.noise.p99_ms:.3g}")
+    console.print(table)
+    console.print("Host noise is in it: simulated controllers run on this machine, too, and act late with it.")
