@@ -1,0 +1,309 @@
+"""A CAN bus in memory, for virtual time and for live simulators: bit times with stuffing, arbitration, errors, bus-off.
+
+Every node is a CAN controller of its own with its error counters (ISO 11898-1). Frames that are ready when the bus
+becomes free arbitrate by their identifiers; the winner takes as long as its own bits do, stuff bits included.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from random import Random
+from typing import Literal
+
+from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.link.can import (
+    ERROR_BUS_OFF,
+    ERROR_NO_ACKNOWLEDGE,
+    ERROR_ON_BUS,
+    ERROR_PASSIVE,
+    ERROR_RESTARTED,
+    FIXED_BITS,
+    INTERMISSION_BITS,
+    CanFrame,
+)
+
+NodeState = Literal["active", "passive", "off"]
+
+PASSIVE_FROM = 128
+OFF_FROM = 256
+SUSPENDED_BITS = 8
+"""An error-passive node leaves the bus to others for so long after it has sent."""
+ERROR_FRAME_BITS = 6 + 6 + 8
+"""Error flag, its echo by the others, delimiter."""
+RECOVERY_BITS = 128 * 11
+_POLYNOMIAL = 0x4599
+
+
+@lru_cache(maxsize=8192)
+def exact_bits(frame: CanFrame) -> int:
+    """Bits of `frame` on the bus with the stuff bits that it has, and the intermission behind it."""
+    bits = _stuffable(frame)
+    run, last, stuffed = 0, -1, 0
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            stuffed, run, last = stuffed + 1, 1, 1 - bit
+    return len(bits) + stuffed + FIXED_BITS
+
+
+def _stuffable(frame: CanFrame) -> list[int]:
+    """Start of frame to the end of the CRC."""
+    length = len(frame.data)
+    if frame.extended:
+        words = [(0, 1), (frame.id >> 18, 11), (0b11, 2), (frame.id & 0x3FFFF, 18), (frame.rtr, 1), (0, 2), (length, 4)]
+    else:
+        words = [(0, 1), (frame.id, 11), (frame.rtr, 1), (0, 2), (length, 4)]
+    if not frame.rtr:
+        words += [(byte, 8) for byte in frame.data]
+    bits = [word >> place & 1 for word, width in words for place in reversed(range(width))]
+    crc = 0
+    for bit in bits:
+        crc = (crc << 1 & 0x7FFF) ^ (_POLYNOMIAL if bit ^ (crc >> 14) else 0)
+    return bits + [crc >> place & 1 for place in reversed(range(15))]
+
+
+def _rank(frame: CanFrame) -> int:
+    """The bits that arbitrate, as a number: the lowest wins."""
+    if frame.extended:
+        return (frame.id >> 18) << 21 | 0b11 << 19 | (frame.id & 0x3FFFF) << 1 | frame.rtr
+    return frame.id << 21 | frame.rtr << 20
+
+
+@dataclass(slots=True, eq=False)
+class CanNode:
+    """One CAN controller on the bus. Made by `MemoryCanBus.attach`.
+
+    by_identifier: of its waiting frames the one with the lowest identifier is sent first, not the oldest.
+    """
+
+    _bus: "MemoryCanBus"
+    receive: Callable[[CanFrame], None]
+    trouble: Callable[[int], None]
+    bitrate: int
+    by_identifier: bool
+    connected: bool = True
+    transmit_errors: int = 0
+    receive_errors: int = 0
+    off: bool = False
+    waiting: list[CanFrame] = field(default_factory=list[CanFrame])
+    silent_until_ns: int = 0
+    parked: bool = False
+
+    @property
+    def state(self) -> NodeState:
+        if self.off:
+            return "off"
+        return "passive" if max(self.transmit_errors, self.receive_errors) >= PASSIVE_FROM else "active"
+
+    @property
+    def hears(self) -> bool:
+        """Whether it takes part in what happens on the bus."""
+        return self.connected and not self.off and self.bitrate == self._bus.bitrate
+
+    def send(self, *frames: CanFrame) -> None:
+        """Frames for the bus. One that is switched off, or in bus-off, sends nothing, now or later."""
+        if self.connected and not self.off:
+            self.waiting.extend(frames)
+            self._bus.kick()
+
+    def best(self) -> CanFrame:
+        """The waiting frame that is next."""
+        return min(self.waiting, key=_rank) if self.by_identifier else self.waiting[0]
+
+    def connect(self, connected: bool) -> None:
+        """Switch it on, its counters at 0 and nothing to send, or off. A frame that it sends just then is spoilt."""
+        self.connected, self.off = connected, False
+        self.forget()
+        if connected:
+            self._bus.wake()
+
+    def restart(self) -> None:
+        """Leave bus-off, after as many idle bits as the standard demands. Nothing waits to be sent any more."""
+        if self.off:
+            self.waiting.clear()
+            bus = self._bus
+            bus.later(RECOVERY_BITS * bus.bit_ns, self._back)
+
+    def _back(self) -> None:
+        if self.off and self.connected:
+            self.off = False
+            self.forget()
+            self._bus.wake()
+            self.trouble(ERROR_RESTARTED)
+
+    def forget(self) -> None:
+        self.transmit_errors = self.receive_errors = 0
+        self.waiting.clear()
+        self.parked = False
+
+    # What the bus tells it
+
+    def count(self, transmit: int = 0, receive: int = 0) -> None:
+        """Add to the error counters; says when that changes the node's state."""
+        before = self.state
+        self.transmit_errors = max(0, self.transmit_errors + transmit)
+        # A receiver that has been passive is nearly so after its first good frame.
+        most = PASSIVE_FROM - 1 if receive < 0 else OFF_FROM
+        self.receive_errors = max(0, min(self.receive_errors, most) + receive)
+        if self.transmit_errors >= OFF_FROM:
+            self.off = True
+            self.waiting.clear()
+            self.trouble(ERROR_BUS_OFF)
+        elif self.state != before:
+            self.trouble(ERROR_PASSIVE)
+
+
+def _ignore(trouble: int) -> None:
+    del trouble
+
+
+class MemoryCanBus:
+    """One bus. bitrate: bits/s. error_rate: the chance that a frame is destroyed. seed: of those."""
+
+    def __init__(self, clock: Clock, bitrate: int, seed: int = 0, error_rate: float = 0.0) -> None:
+        self.clock = clock
+        self.bitrate = bitrate
+        self.error_rate = error_rate
+        self.cut = False
+        """The wire is broken right behind every node: nobody hears anybody."""
+        self.busy_ns = 0
+        """How long frames and error frames have been on the bus since it was made, intermissions included."""
+        self.frames = 0
+        """How many frames have been sent on it since it was made."""
+        self._nodes: list[CanNode] = []
+        self._listeners: list[Callable[[CanFrame, int, int], None]] = []
+        self._draw = Random(seed)
+        self._disturbed = 0
+        self._free_ns = 0
+        self._sending = False
+        self._starts_ns: int | None = None
+
+    @property
+    def bit_ns(self) -> float:
+        return NS_PER_S / self.bitrate
+
+    def attach(
+        self,
+        receive: Callable[[CanFrame], None],
+        trouble: Callable[[int], None] = _ignore,
+        *,
+        bitrate: int | None = None,
+        by_identifier: bool = False,
+    ) -> CanNode:
+        """A further node. receive: gets frames of others, when they are over. trouble: gets `ERROR_…` of this node."""
+        node = CanNode(self, receive, trouble, bitrate or self.bitrate, by_identifier)
+        self._nodes.append(node)
+        self.wake()
+        return node
+
+    def detach(self, node: CanNode) -> None:
+        """Unplug it for good."""
+        node.connect(False)
+        self._nodes.remove(node)
+
+    def watch(self, listener: Callable[[CanFrame, int, int], None]) -> None:
+        """Call `listener(frame, begin_ns, end_ns)` for every frame that was sent."""
+        self._listeners.append(listener)
+
+    def disturb(self, frames: int) -> None:
+        """Destroy the next so many frames, repetitions included."""
+        self._disturbed += frames
+
+    def later(self, duration_ns: float, callback: Callable[[], None]) -> None:
+        self.clock.call_at_ns(self.clock.now_ns() + round(duration_ns), callback)
+
+    def wake(self) -> None:
+        """Somebody has come who may acknowledge: what was given up is tried again."""
+        for node in self._nodes:
+            node.parked = False
+        self.kick()
+
+    def kick(self) -> None:
+        """See to it that the next frame starts when it can."""
+        ready = [node for node in self._nodes if node.waiting and not node.parked]
+        if self._sending or not ready:
+            return
+        at_ns = max(self.clock.now_ns(), self._free_ns, min(node.silent_until_ns for node in ready))
+        if self._starts_ns is None or at_ns < self._starts_ns:
+            self._starts_ns = at_ns
+            self.clock.call_at_ns(at_ns, lambda: self._start(at_ns))
+
+    def _start(self, planned_ns: int) -> None:
+        if self._sending or self._starts_ns != planned_ns:
+            return
+        self._starts_ns = None
+        now_ns = self.clock.now_ns()
+        ready = [n for n in self._nodes if n.waiting and not n.parked and n.silent_until_ns <= now_ns]
+        if not ready:
+            self.kick()
+            return
+        least = min(_rank(node.best()) for node in ready)
+        senders = [node for node in ready if _rank(node.best()) == least]
+        frame = senders[0].best()
+        begin_ns = planned_ns
+        self._sending = True
+        acknowledged = not self.cut and any(node.hears for node in self._nodes if node not in senders)
+        spoilt = any(node.best() != frame or not node.hears for node in senders) or self._is_disturbed()
+        bits = exact_bits(frame)
+        if spoilt:
+            bits = self._draw.randint(1, bits - INTERMISSION_BITS) + ERROR_FRAME_BITS + INTERMISSION_BITS
+        elif not acknowledged:
+            bits += ERROR_FRAME_BITS
+        self._free_ns = begin_ns + round(bits * self.bit_ns)
+        self.busy_ns += self._free_ns - begin_ns
+        # Receivers take a frame at its end, before the intermission.
+        end_ns = self._free_ns - round(INTERMISSION_BITS * self.bit_ns)
+
+        def over() -> None:
+            self._sending = False
+            if spoilt or any(frame not in node.waiting for node in senders):
+                self._destroyed(senders)
+            elif not acknowledged:
+                self._unacknowledged(senders)
+            else:
+                self._sent(senders, frame, begin_ns, end_ns)
+            self.kick()
+
+        self.clock.call_at_ns(end_ns, over)
+
+    def _is_disturbed(self) -> bool:
+        if self._disturbed:
+            self._disturbed -= 1
+            return True
+        return bool(self.error_rate) and self._draw.random() < self.error_rate
+
+    def _sent(self, senders: list[CanNode], frame: CanFrame, begin_ns: int, end_ns: int) -> None:
+        self.frames += 1
+        for node in senders:
+            node.waiting.remove(frame)
+            node.count(transmit=-1)
+            self._suspend(node)
+        for listener in self._listeners:
+            listener(frame, begin_ns, end_ns)
+        for node in [each for each in self._nodes if each.hears and each not in senders]:
+            node.count(receive=-1)
+            node.receive(frame)
+
+    def _destroyed(self, senders: list[CanNode]) -> None:
+        for node in list(self._nodes):
+            if node in senders:
+                node.trouble(ERROR_ON_BUS)
+                node.count(transmit=8)
+                self._suspend(node)
+            elif node.hears:
+                node.count(receive=1)
+
+    def _unacknowledged(self, senders: list[CanNode]) -> None:
+        for node in senders:
+            if node.state == "active":
+                node.count(transmit=8)
+            else:
+                # A passive node goes on trying for ever without counting, and nothing on the bus changes by it.
+                node.parked = True
+                node.trouble(ERROR_NO_ACKNOWLEDGE)
+            self._suspend(node)
+
+    def _suspend(self, node: CanNode) -> None:
+        if node.state == "passive":
+            node.silent_until_ns = self._free_ns + round(SUSPENDED_BITS * self.bit_ns)

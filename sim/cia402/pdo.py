@@ -1,0 +1,291 @@
+"""PDOs: parameters and mapping, transmission types, inhibit time and event timer (CiA 301, 7.2.2 and 7.5.2)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Timer
+from orchestrator.link.can import CanFrame
+from sim.cia402 import aborts
+from sim.cia402.aborts import Abort
+from sim.cia402.dictionary import Dictionary
+from sim.core.devicetime import DeviceTime
+
+COUNT = 4
+MOST_OBJECTS = 8
+_OFF = 0x8000_0000
+_NO_REMOTE = 0x4000_0000
+_EXTENDED = 0x2000_0000
+_ID = 0x7FF
+_SYNCHRONOUS_UP_TO = 240
+_REMOTE_SYNCHRONOUS = 252
+_EVENT_FROM = 254
+CONTROLWORD = (0x6040, 0)
+LENGTH_ERROR = 0x8210
+
+# Identifiers that no PDO may have (CiA 301, table 40): those of NMT, SDOs, LSS and heartbeats.
+_RESTRICTED = (
+    range(0x000, 0x080),
+    range(0x101, 0x181),
+    range(0x581, 0x600),
+    range(0x601, 0x680),
+    range(0x6E0, 0x700),
+    range(0x701, 0x800),
+)
+
+
+@dataclass(slots=True)
+class _Pdo:
+    """One PDO as its parameters have it. objects: key and bytes of each."""
+
+    parameter: int
+    mapping: int
+    id: int = 0
+    on: bool = False
+    remote: bool = False
+    type: int = 255
+    objects: tuple[tuple[tuple[int, int], int], ...] = ()
+
+
+@dataclass(slots=True)
+class _Outgoing(_Pdo):
+    """last: what was sent last. free_ns: when the inhibit time after it is over."""
+
+    last: bytes = b""
+    syncs: int = 0
+    free_ns: int = 0
+    waiting: Timer | None = None
+    event: Timer | None = None
+
+
+@dataclass(slots=True)
+class _Incoming(_Pdo):
+    """held: what has come since the last SYNC."""
+
+    held: bytes | None = None
+
+
+class Pdos:
+    """All PDOs of one drive. send: puts a frame on the bus. emergency: sends an EMCY with this code."""
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        time: DeviceTime,
+        send: Callable[[CanFrame], None],
+        emergency: Callable[[int], None],
+    ) -> None:
+        self._dictionary = dictionary
+        self._time = time
+        self._send = send
+        self._emergency = emergency
+        self._running = False
+        self._incoming = [_Incoming(0x1400 + n, 0x1600 + n) for n in range(COUNT)]
+        self._outgoing = [_Outgoing(0x1800 + n, 0x1A00 + n) for n in range(COUNT)]
+        for pdo in (*self._incoming, *self._outgoing):
+            self._guard(pdo)
+
+    # Parameters
+
+    def _guard(self, pdo: _Pdo) -> None:
+        """Have the writes of its parameters checked."""
+        writes, receive = self._dictionary.writes, isinstance(pdo, _Incoming)
+        writes[pdo.parameter, 1] = lambda value: self._check_id(pdo, value)
+        writes[pdo.parameter, 2] = lambda value: self._check_type(pdo, value, receive)
+        if not receive:
+            writes[pdo.parameter, 3] = lambda _: self._require_off(pdo)
+            writes[pdo.parameter, 5] = lambda value: self._new_event_timer(pdo, value)
+        writes[pdo.mapping, 0] = lambda value: self._check_count(pdo, value, receive)
+        for sub in range(1, MOST_OBJECTS + 1):
+            writes[pdo.mapping, sub] = lambda value: self._check_object(pdo, value, receive)
+
+    def _require_off(self, pdo: _Pdo) -> None:
+        if not self._dictionary.get(pdo.parameter, 1) & _OFF:
+            raise Abort(aborts.UNSUPPORTED)
+
+    def _check_id(self, pdo: _Pdo, value: int) -> None:
+        before, identifier = self._dictionary.get(pdo.parameter, 1), value & _ID
+        if value & _EXTENDED or any(identifier in each for each in _RESTRICTED):
+            raise Abort(aborts.RANGE)
+        if not before & _OFF and not value & _OFF and before & _ID != identifier:
+            raise Abort(aborts.RANGE)
+        self._after_write(pdo, (pdo.parameter, 1), value)
+
+    def _check_type(self, pdo: _Pdo, value: int, receive: bool) -> None:
+        if _SYNCHRONOUS_UP_TO < value < _EVENT_FROM and (receive or value < _REMOTE_SYNCHRONOUS):
+            raise Abort(aborts.RANGE)
+        self._after_write(pdo, (pdo.parameter, 2), value)
+
+    def _new_event_timer(self, pdo: _Pdo, value: int) -> None:
+        self._after_write(pdo, (pdo.parameter, 5), value)
+
+    def _check_count(self, pdo: _Pdo, value: int, receive: bool) -> None:
+        self._require_off(pdo)
+        if value > MOST_OBJECTS:
+            raise Abort(aborts.TOO_HIGH)
+        bits = 0
+        for sub in range(1, value + 1):
+            word = self._dictionary.get(pdo.mapping, sub)
+            self._check_mapped(word, receive)
+            bits += word & 0xFF
+        if bits > 64:
+            raise Abort(aborts.PDO_LENGTH)
+        self._after_write(pdo, (pdo.mapping, 0), value)
+
+    def _check_object(self, pdo: _Pdo, value: int, receive: bool) -> None:
+        self._require_off(pdo)
+        if self._dictionary.get(pdo.mapping, 0):
+            raise Abort(aborts.UNSUPPORTED)
+        if value:
+            self._check_mapped(value, receive)
+
+    def _check_mapped(self, word: int, receive: bool) -> None:
+        entry = self._dictionary.entry(word >> 16, word >> 8 & 0xFF)
+        if not entry.mappable or entry.size * 8 != word & 0xFF or (receive and not entry.writable):
+            raise Abort(aborts.NOT_MAPPABLE)
+
+    def _after_write(self, pdo: _Pdo, key: tuple[int, int], value: int) -> None:
+        self._dictionary.put(*key, value)
+        self._read(pdo)
+
+    def _read(self, pdo: _Pdo) -> None:
+        """Take the parameters over."""
+        get = self._dictionary.get
+        word = get(pdo.parameter, 1)
+        mapped = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
+        pdo.id, pdo.on, pdo.remote = word & _ID, not word & _OFF, not word & _NO_REMOTE
+        pdo.type = get(pdo.parameter, 2)
+        pdo.objects = tuple(((each >> 16, each >> 8 & 0xFF), (each & 0xFF) // 8) for each in mapped)
+        if isinstance(pdo, _Incoming):
+            pdo.held = None
+        elif isinstance(pdo, _Outgoing):
+            self._arm_event_timer(pdo)
+
+    # Life
+
+    def start(self) -> None:
+        """NMT state operational: event-driven PDOs are sent once."""
+        self._running = True
+        for pdo in (*self._incoming, *self._outgoing):
+            self._read(pdo)
+        for pdo in self._outgoing:
+            pdo.last, pdo.syncs, pdo.free_ns = b"", 0, 0
+        self.changed()
+
+    def stop(self) -> None:
+        self._running = False
+        for pdo in self._outgoing:
+            for timer in (pdo.waiting, pdo.event):
+                if timer is not None:
+                    timer.cancel()
+            pdo.waiting = pdo.event = None
+
+    # From the bus
+
+    def receive(self, frame: CanFrame) -> None:
+        """A frame that may be for one of the PDOs."""
+        if not self._running:
+            return
+        if frame.rtr:
+            for pdo in self._outgoing:
+                if pdo.on and pdo.remote and pdo.id == frame.id:
+                    self._transmit(pdo)
+            return
+        for pdo in self._incoming:
+            if pdo.on and pdo.id == frame.id:
+                if len(frame.data) < sum(size for _, size in pdo.objects):
+                    self._emergency(LENGTH_ERROR)
+                elif pdo.type <= _SYNCHRONOUS_UP_TO:
+                    pdo.held = frame.data
+                else:
+                    self._take([(pdo, frame.data)])
+
+    def sync_incoming(self) -> None:
+        """SYNC: what is held goes into the objects."""
+        held = [(pdo, pdo.held) for pdo in self._incoming if pdo.held is not None]
+        for pdo, _ in held:
+            pdo.held = None
+        self._take(held)
+
+    def _take(self, received: "list[tuple[_Incoming, bytes]]") -> None:
+        """The control loop sees all of them at once: the controlword acts on the other values that come with it."""
+        words: list[int] = []
+        for pdo, data in received:
+            at = 0
+            for key, size in pdo.objects:
+                value = self._dictionary.entries[key].decode(data[at : at + size])
+                at += size
+                if key == CONTROLWORD:
+                    words.append(value)
+                else:
+                    self._take_one(key, value)
+        for word in words:
+            self._take_one(CONTROLWORD, word)
+
+    def _take_one(self, key: tuple[int, int], value: int) -> None:
+        try:
+            self._dictionary.take(*key, value)
+        except Abort:
+            # There is nobody to refuse it to: the object keeps its value.
+            return
+
+    # To the bus
+
+    def sync_outgoing(self) -> None:
+        """SYNC: synchronous PDOs are sent."""
+        if not self._running:
+            return
+        for pdo in self._outgoing:
+            if not pdo.on:
+                continue
+            if pdo.type == 0 and self._encode(pdo) != pdo.last:
+                self._transmit(pdo)
+            elif 1 <= pdo.type <= _SYNCHRONOUS_UP_TO:
+                pdo.syncs += 1
+                if pdo.syncs >= pdo.type:
+                    pdo.syncs = 0
+                    self._transmit(pdo)
+
+    def changed(self) -> None:
+        """An object may have another value: event-driven PDOs are sent if one of theirs has."""
+        if not self._running:
+            return
+        now_ns = self._time.now_ns()
+        for pdo in self._outgoing:
+            if pdo.on and pdo.type >= _EVENT_FROM and pdo.waiting is None and self._encode(pdo) != pdo.last:
+                if now_ns >= pdo.free_ns:
+                    self._transmit(pdo)
+                else:
+                    pdo.waiting = self._time.call_at(pdo.free_ns, lambda p=pdo: self._inhibited(p))
+
+    def _inhibited(self, pdo: _Outgoing) -> None:
+        pdo.waiting = None
+        if pdo.on and self._encode(pdo) != pdo.last:
+            self._transmit(pdo)
+
+    @property
+    def follows_motion(self) -> bool:
+        """Whether an event-driven PDO carries what changes while the motor turns."""
+        turning = (0x6062, 0x6063, 0x6064, 0x606B, 0x606C, 0x60F4, 0x60FC)
+        return self._running and any(
+            pdo.on and pdo.type >= _EVENT_FROM and any(key[0] in turning for key, _ in pdo.objects)
+            for pdo in self._outgoing
+        )
+
+    def _encode(self, pdo: _Outgoing) -> bytes:
+        dictionary = self._dictionary
+        return b"".join(dictionary.entries[key].encode(dictionary.get(*key)) for key, _ in pdo.objects)
+
+    def _transmit(self, pdo: _Outgoing) -> None:
+        pdo.last = self._encode(pdo)
+        # Inhibit times are in 100 µs.
+        pdo.free_ns = self._time.now_ns() + self._dictionary.get(pdo.parameter, 3) * 100 * NS_PER_US
+        self._send(CanFrame(pdo.id, pdo.last))
+        self._arm_event_timer(pdo)
+
+    def _arm_event_timer(self, pdo: _Outgoing) -> None:
+        if pdo.event is not None:
+            pdo.event.cancel()
+            pdo.event = None
+        after_ms = self._dictionary.get(pdo.parameter, 5)
+        if self._running and pdo.on and pdo.type >= _EVENT_FROM and after_ms:
+            pdo.event = self._time.call_after(after_ms * NS_PER_MS, lambda: self._transmit(pdo))

@@ -1,0 +1,42 @@
+"""The computer's own CAN controller on a simulated bus: what a link of kind `can` leads to.
+
+Its bytes are frames as `orchestrator.link.can` writes them. Error frames tell of its state; after bus-off it restarts
+by itself, as SocketCAN's does with `restart-ms`.
+"""
+
+from collections.abc import Callable
+
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode
+from orchestrator.link.can_bus import PASSIVE_FROM, MemoryCanBus
+
+RESTART_NS = 100 * NS_PER_MS
+
+# Of data[1] of an error frame, as linux/can/error.h has them.
+_NOW_PASSIVE = 0x30
+_NOW_ACTIVE = 0x40
+
+
+class CanCard:
+    """One open way from the computer to the bus; fulfils `Connection`."""
+
+    def __init__(self, bus: MemoryCanBus, send: Callable[[bytes], None]) -> None:
+        self._bus = bus
+        self._send = send
+        self._reader = FrameReader()
+        self.node = bus.attach(lambda frame: send(encode(frame)), self._trouble)
+
+    def receive(self, data: bytes) -> None:
+        self.node.send(*(frame for frame in self._reader.feed(data) if not frame.error))
+
+    def close(self) -> None:
+        """What waits to be sent is lost."""
+        self._bus.detach(self.node)
+
+    def _trouble(self, what: int) -> None:
+        passive = max(self.node.transmit_errors, self.node.receive_errors) >= PASSIVE_FROM
+        state = _NOW_PASSIVE if passive else _NOW_ACTIVE
+        counters = [min(255, self.node.transmit_errors), min(255, self.node.receive_errors)]
+        self._send(encode(CanFrame(what, bytes([0, state, 0, 0, 0, 0, *counters]), error=True)))
+        if what == ERROR_BUS_OFF:
+            self._bus.later(RESTART_NS, self.node.restart)
