@@ -8,6 +8,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from random import Random
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.lab.bench_lowering_ppsmc import bench_ppsmc
-from orchestrator.lab.bench_lowering_smc30 import bench_smc30
+from orchestrator.lab.bench_lowering_steppers import STEPPERS, bench_stepper
 from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay
@@ -98,7 +99,10 @@ SUBJECTS = {
 }
 
 
-OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {"smc30": bench_smc30, "ppsmc": bench_ppsmc}
+OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {
+    **{make: partial(bench_stepper, make) for make in STEPPERS},
+    "ppsmc": bench_ppsmc,
+}
 """Makes with a benchmark of their own, by number of moves and seed."""
 MAKES = (*SUBJECTS, *OTHERS)
 

@@ -1,6 +1,6 @@
 """What is asked of the SMC30's figures, on few rounds of the benchmarks that measure them."""
 
-from orchestrator.lab.bench_lowering_smc30 import bench_smc30
+from orchestrator.lab.bench_lowering_steppers import bench_stepper
 from orchestrator.lab.bench_smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
 
 
@@ -13,7 +13,7 @@ def test_seven_units_start_together_by_slots_and_by_a_line() -> None:
 
 
 def test_moves_take_what_was_planned_and_what_was_predicted() -> None:
-    found = bench_smc30(400, seed=2)
+    found = bench_stepper("smc30", 400, seed=2)
     by_name = {each.what: each for each in found.figures}
     assert by_name["all, lowered-planned"].met
     assert by_name["all, real-lowered"].n == 20
