@@ -5,6 +5,7 @@ from typing import Any
 import click
 
 from orchestrator.cli.axis_jog import jog
+from orchestrator.cli.axis_take import release, take
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.one_step import run_step
@@ -129,6 +130,8 @@ def set_position(positions: tuple[str, ...], clear: bool, connect: str, fleet: s
 # What is moved by hand is stopped like anything else: one stop for all.
 axis.add_command(stop)
 axis.add_command(jog)
+axis.add_command(take)
+axis.add_command(release)
 
 
 def _targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:

@@ -1,47 +1,62 @@
 """`tutti job …` and `tutti submit`."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import click
 
 from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.job_history import list_jobs, prune
+from orchestrator.cli.job_queue import hold, move, pause, release, resume, retry
+from orchestrator.cli.job_terms import TermsOptions, entry_lines, make_terms, tell_accepted, terms_options
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 
 @click.group(epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
-    """Submit, list, show and cancel jobs, and read their reports."""
+    """Submit, list, show and cancel jobs, put them in order, pause them, do them again, and read their reports."""
 
 
-@click.command("submit", epilog="Example: tutti submit deploy/examples/demo.job.yaml --wait")
+@click.command("submit", epilog="Example: tutti job submit scan.job.yaml --repeat 3 --at 22:30")
 @_FILE
 @fleet_options
 @json_option
 @click.option("--wait", is_flag=True, help="Wait for the end and print the report; exit 1 unless the job is done.")
 @click.option("--dry-run", is_flag=True, help="Only say what each move would take, from where the axes stand now.")
 @click.option("--key", default=None, help="Client key: the same key again gives the same job, never a second one.")
+@terms_options
 def submit(
-    file: Path, connect: str, fleet: str | None, as_json: bool, wait: bool, dry_run: bool, key: str | None
+    file: Path,
+    connect: str,
+    fleet: str | None,
+    as_json: bool,
+    wait: bool,
+    dry_run: bool,
+    key: str | None,
+    **terms: Unpack[TermsOptions],
 ) -> None:
-    """Submit the job in FILE."""
+    """Submit the job in FILE. It begins when what it needs is free, and no earlier job waits for that."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
     from orchestrator.model.files import load_job
     from orchestrator.monitor.report_table import report_tables
+
+    wanted = make_terms(terms)
 
     async def act(tutti: Tutti) -> None:
         loaded = load_job(file)
         if dry_run:
             _show_dry_run(await tutti.dry_run(loaded), as_json)
             return
-        job_id = await tutti.submit(loaded, key)
+        entry = await tutti.enqueue(loaded, key, wanted)
         if not wait:
-            print_json({"job_id": job_id}) if as_json else console.print(f"job {job_id} is accepted")
+            print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else tell_accepted(entry)
             return
-        report = await follow(tutti, job_id, quiet=as_json)
+        if entry.terms.at is not None and not as_json:
+            tell_accepted(entry)
+        report = await follow(tutti, entry.id, quiet=as_json)
         print_json(report.to_plain()) if as_json else console.print(report_tables(report))
         if report.state != "done":
             raise SystemExit(FAILED)
@@ -50,31 +65,8 @@ def submit(
 
 
 job.add_command(submit)
-
-
-@job.command("ls", epilog="Example: tutti job ls --limit 5")
-@fleet_options
-@json_option
-@click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 10_000))
-def list_jobs(connect: str, fleet: str | None, as_json: bool, limit: int) -> None:
-    """List the newest jobs."""
-    from orchestrator.client import Tutti
-    from orchestrator.monitor.tables import plain_table
-
-    async def act(tutti: Tutti) -> None:
-        jobs = (await tutti.jobs(limit)).jobs
-        if as_json:
-            print_json([entry.to_plain() for entry in jobs])
-            return
-        table = plain_table(["job", "name", "actor", "state", "submitted, UTC"])
-        table.add_column("reason", overflow="fold")
-        for entry in jobs:
-            table.add_row(
-                entry.id, entry.name, entry.actor, entry.state, entry.submitted_utc[:19].replace("T", " "), entry.reason
-            )
-        console.print(table)
-
-    with_fleet(connect, fleet, act)
+for command in (list_jobs, prune, hold, release, move, pause, resume, retry):
+    job.add_command(command)
 
 
 @job.command(epilog="Example: tutti job show 3f2a91c0")
@@ -92,10 +84,14 @@ def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
             return
         assert shown.entry is not None
         console.print(f"job {shown.entry.id} {shown.entry.name!r} of {shown.entry.actor}: {shown.entry.state}")
+        for line in entry_lines(shown.entry):
+            console.print(line, highlight=False, markup=False)
         for index, step in enumerate(shown.job.steps if shown.job else []):
             console.print(f"  {index} {step.do} {step.name or ''}", highlight=False)
         for change in shown.transitions:
-            console.print(f"{change.utc} {change.state} {change.reason}", highlight=False, markup=False)
+            console.print(
+                f"{change.utc} {change.state} {change.reason} ({change.actor})", highlight=False, markup=False
+            )
 
     with_fleet(connect, fleet, act)
 
@@ -149,7 +145,9 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
     async def act(tutti: Tutti) -> None:
         shown = await tutti.show(job_id)
         assert shown.entry is not None
-        wanted = [step] if step is not None else range(len(shown.job.steps) if shown.job else 0)
+        wanted = (
+            [step] if step is not None else range(len(shown.job.steps) * shown.entry.terms.repeat if shown.job else 0)
+        )
         found = [each for index in wanted if (each := await tutti.recording(shown.entry.id, index)) is not None]
         if not found:
             fail(f"nothing is recorded of job {job_id}" + ("" if step is None else f" step {step}"), FAILED)

@@ -18,10 +18,11 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
 from orchestrator.model.queue import Terms
-from orchestrator.model.report import ENDED, JobReport, JobState, Progress, QueueEntry, QueueState, StepRecording
+from orchestrator.model.report import ENDED, JobReport, JobState, Lease, Progress, QueueEntry, QueueState, StepRecording
 from orchestrator.model.service import (
     Again,
     AgainReply,
+    GiveBack,
     JobRef,
     JobRefs,
     JobShown,
@@ -36,6 +37,8 @@ from orchestrator.model.service import (
     StopFleet,
     Submit,
     Submitted,
+    Take,
+    Taken,
     WireFound,
     WiringChecked,
 )
@@ -334,6 +337,23 @@ class Tutti:
         from orchestrator.client.hand import Hand
 
         return Hand(self, axes, what, ttl_s)
+
+    async def reserve(self, axes: Sequence[str], seconds: float, what: str = "manual work") -> tuple[list[str], str]:
+        """Take axes (groups, controllers) for work at the machine, for so long or until `give_back`: jobs that need
+        them wait, other people are refused. All that are taken, and their holder. Raises `Refused`: code `leased`."""
+        holder = f"hand-{self.new_id()}"
+        request = Take(**self.fields(), axes=list(axes), holder=holder, what=what, ttl_s=seconds, reserve=True)
+        return (await self.service("take", request, Taken)).axes, holder
+
+    async def give_back(self, holder: str) -> None:
+        """Give back all that `holder` has in hand. Raises `Refused`."""
+        await self.service("release", GiveBack(**self.fields(), holder=holder), Reply)
+
+    async def leases(self) -> list[Lease]:
+        """Who has the axes of each controller now; of several, one."""
+        replies = await self.bus.request_all(self.keys.leases, b"", ANSWER_S)
+        found = [Lease.model_validate_json(payload) for payload in replies.values()]
+        return sorted(found, key=lambda each: each.controller)
 
     # What the other modules of this package ask with
 

@@ -107,7 +107,7 @@ class Coordinator:
         )
         self.runner = Runner(works)
         self._office = Office(works, self.runner, court.new_id)
-        self._hands = Hands(self._view, self._leases, permits)
+        self._hands = Hands(self._view, self._leases, permits, clock, court.journal, court.runs, self._log)
         self._reloading = Reloading(self._view, members, self._leases, clock, court.save_fleet)
         self._wiring = WiringCheck(self._view, members, self._leases, clock)
         self._adopting: set[str] = set()
@@ -143,7 +143,7 @@ class Coordinator:
         await self._view.start()
         bus, keys = self._court.bus, self._court.keys
         await self._leases.start()
-        self._hands.start()
+        await self._hands.start()
         await self.runner.start()
         self._declared = [
             await bus.serve(keys.svc(), self._answer),
@@ -309,7 +309,7 @@ class Coordinator:
 
     async def _take(self, request: Take) -> Model:
         try:
-            return Taken(axes=list(await self._hands.take(request)))
+            return await self._hands.take(request)
         except Refuse as error:
             return Taken(refused=error.refusal)
         except UnknownName as error:

@@ -5,7 +5,7 @@
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar, get_args
@@ -80,6 +80,16 @@ class Again(NamedTuple):
 
     origin: str
     from_step: int
+
+
+class Reserved(NamedTuple):
+    """Axes that somebody has taken for work at the machine."""
+
+    holder: str
+    actor: str
+    what: str
+    axes: tuple[str, ...]
+    until_utc: str
 
 
 class Journal:
@@ -291,6 +301,23 @@ class Journal:
     def recording(self, job_id: str, step: int) -> StepRecording | None:
         values = (job_id, step)
         return self._body(StepRecording, "SELECT body FROM recordings WHERE job_id = ? AND step = ?", values)
+
+    # Hands
+
+    def reserve(self, holder: str, actor: str, what: str, axes: Iterable[str], until_utc: str) -> None:
+        """Note axes that somebody has taken for work at the machine."""
+        with self._transaction():
+            values = (holder, actor, what, " ".join(axes), until_utc)
+            self._db.execute("INSERT OR REPLACE INTO hands VALUES (?, ?, ?, ?, ?)", values)
+
+    def unreserve(self, holder: str) -> None:
+        """Note that they are given back."""
+        with self._transaction():
+            self._db.execute("DELETE FROM hands WHERE holder = ?", (holder,))
+
+    def reserved(self) -> list[Reserved]:
+        rows = self._read("SELECT holder, actor, what, axes, until_utc FROM hands ORDER BY rowid")
+        return [Reserved(holder, actor, what, tuple(axes.split()), until) for holder, actor, what, axes, until in rows]
 
     # Inside
 

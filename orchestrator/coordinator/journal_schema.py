@@ -47,6 +47,9 @@ ALTER TABLE jobs ADD COLUMN held_by TEXT NOT NULL DEFAULT '';
 ALTER TABLE jobs ADD COLUMN origin TEXT;
 ALTER TABLE jobs ADD COLUMN from_step INTEGER NOT NULL DEFAULT 0;
 UPDATE jobs SET place = number;
+CREATE TABLE hands (
+  holder TEXT PRIMARY KEY, actor TEXT NOT NULL, what TEXT NOT NULL, axes TEXT NOT NULL, until_utc TEXT NOT NULL
+) STRICT;
 CREATE INDEX decisions_job ON decisions (job_id);
 """,
 }

@@ -24,7 +24,8 @@ RENEW_NS = NS_PER_S
 class Held:
     """What one holder has. axes: `controller.axis`. until_ns: when it runs out unless taken again; None: never.
 
-    brief: it ends in a moment; others wait for that instead of being refused.
+    brief: it ends in a moment; others wait for that instead of being refused. idle: the adapters do not know of it:
+    the axes are kept for the holder, who may not move them.
     """
 
     holder: str
@@ -33,6 +34,7 @@ class Held:
     axes: tuple[str, ...]
     until_ns: int | None
     brief: bool = False
+    idle: bool = False
 
 
 class InUse(Refuse):
@@ -40,7 +42,7 @@ class InUse(Refuse):
 
 
 class LeaseBook:
-    """All leases of the fleet. `on_freed` is called when axes have been given back."""
+    """All leases of the fleet."""
 
     def __init__(self, view: FleetView, members: Members, clock: Clock, bus: Bus, keys: Keys, log: Log) -> None:
         self._view = view
@@ -53,7 +55,7 @@ class LeaseBook:
         self._given_back = asyncio.Event()
         self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
-        self.on_freed: Callable[[], None] = lambda: None
+        self._listeners: list[Callable[[str], None]] = []
 
     async def start(self) -> None:
         """Begin to renew what is held, and to say who holds what to those who ask."""
@@ -80,13 +82,46 @@ class LeaseBook:
         """All leases, by holder."""
         return tuple(self._held.values())
 
+    def listen(self, listener: Callable[[str], None]) -> None:
+        """Call `listener` with the holder whenever axes have been given back."""
+        self._listeners.append(listener)
+
+    def may_move(self, holder: str) -> bool:
+        """Whether `holder` has axes, and the adapters know of it."""
+        held = self._held.get(holder)
+        return held is not None and not held.idle
+
     def conflict(self, axes: Iterable[str], holder: str = "") -> Held | None:
         """Who else than `holder` has one of `axes`."""
         wanted = set(axes)
         return next((held for held in self._held.values() if held.holder != holder and wanted & set(held.axes)), None)
 
+    def restore(self, held: Held) -> None:
+        """Go on with what an earlier coordinator had given, as far as nobody may move by it."""
+        self._held[held.holder] = replace(held, idle=True)
+        self._publish(held, held.holder)
+
+    async def suspend(self, holder: str, reason: str) -> None:
+        """Keep the axes for `holder`, who may not move them any more; what moves is stopped by the adapters."""
+        held = self._held.get(holder)
+        if held is None or held.idle:
+            return
+        self._held[holder] = replace(held, idle=True)
+        self._log.warning(f"{held.actor} ({held.what}) may not move axes any more: {reason}", holder=holder)
+        try:
+            await self._tell(held, 0, reason)
+        except Refuse as error:
+            self._log.warning(f"lease not taken back: {error.refusal.text}; it runs out by itself", holder=holder)
+
     async def take(
-        self, holder: str, actor: str, what: str, axes: Iterable[str], ttl_ns: int | None = None, brief: bool = False
+        self,
+        holder: str,
+        actor: str,
+        what: str,
+        axes: Iterable[str],
+        ttl_ns: int | None = None,
+        brief: bool = False,
+        idle: bool = False,
     ) -> tuple[str, ...]:
         """Take `axes` for `holder`, or go on holding them; gives all that are held by it for that: whole controllers
         where axes can not be told apart. Raises `InUse`, `Refuse`; then nothing is held that was not before."""
@@ -106,10 +141,12 @@ class LeaseBook:
         mine = tuple(dict.fromkeys((*(before.axes if before else ()), *whole)))
         until_ns = None if ttl_ns is None else self._clock.now_ns() + ttl_ns
         # Held from here on: nobody else may take them while the adapters are asked.
-        held = self._held[holder] = Held(holder, actor, what, mine, until_ns, brief)
+        idle = idle or (before is not None and before.idle)
+        held = self._held[holder] = Held(holder, actor, what, mine, until_ns, brief, idle)
         if before is None or set(mine) != set(before.axes):
             try:
-                await self._tell(held, TTL_MS)
+                if not idle:
+                    await self._tell(held, TTL_MS)
             except Refuse:
                 await self.give_back(holder)
                 raise
@@ -128,13 +165,15 @@ class LeaseBook:
         if reason:
             self._log.warning(f"the lease of {held.actor} ({held.what}) ends: {reason}", holder=holder)
         try:
-            await self._tell(held, 0, reason)
+            if not held.idle:
+                await self._tell(held, 0, reason)
         except Refuse as error:
             self._log.warning(f"lease not taken back: {error.refusal.text}; it runs out by itself", holder=holder)
         self._held.pop(holder, None)
         self._given_back.set()
         self._publish(held, None)
-        self.on_freed()
+        for listener in self._listeners:
+            listener(holder)
 
     async def _whole(self, axes: Iterable[str]) -> tuple[str, ...]:
         """`axes`, and with them all of the controllers whose axes can only be held together. Raises `Refuse`."""
@@ -168,7 +207,9 @@ class LeaseBook:
             for held in list(self._held.values()):
                 if held.until_ns is not None and held.until_ns <= now_ns:
                     await self.give_back(held.holder, "it was not renewed")
-            await asyncio.gather(*(self._renew_one(held) for held in self._held.values() if not held.brief))
+            await asyncio.gather(
+                *(self._renew_one(held) for held in self._held.values() if not (held.brief or held.idle))
+            )
 
     async def _renew_one(self, held: Held) -> None:
         try:

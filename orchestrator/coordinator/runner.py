@@ -46,7 +46,7 @@ class Runner:
         self._announcing = self._changed_since = False
         self._timed = asyncio.Event()
         self._arranging = asyncio.Lock()
-        works.leases.on_freed = self.wake
+        works.leases.listen(lambda _: self.wake())
 
     async def start(self) -> None:
         """Close what an earlier coordinator left running, then begin with the queue. Raises `JournalError`."""

@@ -11,6 +11,7 @@ from orchestrator.model.queue import Terms, Utc
 from orchestrator.model.report import JobReport, JobState, QueueEntry, StepRecording, Transition
 
 LONGEST_HAND_S = 24 * 3600.0  # `tutti axis take --for`; who renews says much less
+HAND = r"^hand-[a-z0-9-]{1,60}$"
 
 
 class Submit(Request):
@@ -130,25 +131,30 @@ class Take(Request):
     and (code `permit`) while a permit of theirs is missing; when one is lost later, or an adapter starts anew, the
     lease ends.
 
-    axes: axes, groups or controllers. holder: an id of the taker's own, new for each taking, `hand-…`.
+    axes: axes, groups or controllers. holder: an id of the taker's own, new for each taking, `hand-…`. reserve: for
+    work at the machine. The axes then stay the taker's when a permit is missing or lost, or the coordinator starts
+    anew; only the right to move them is gone, until they have been given back and taken again.
     """
 
     axes: list[str] = Field(min_length=1)
-    holder: str = Field(pattern=r"^hand-[a-z0-9-]{1,60}$")
+    holder: str = Field(pattern=HAND)
     what: str = Field(default="by hand", max_length=80, description="Shown to those who are refused.")
     ttl_s: float = Field(default=3.0, ge=0.5, le=LONGEST_HAND_S)
+    reserve: bool = False
 
 
 class Taken(Reply):
-    """All axes that are held now: whole controllers where their axes can not be told apart."""
+    """All axes that are held now: whole controllers where their axes can not be told apart. may_move: they can be
+    jogged; not so what is only reserved."""
 
     axes: list[str] = Field(default=[])
+    may_move: bool = True
 
 
 class GiveBack(Request):
-    """Give back everything that `holder` has; what still moves of it is stopped."""
+    """Give back everything that a hand, `holder`, has; what still moves of it is stopped."""
 
-    holder: str
+    holder: str = Field(pattern=HAND)
 
 
 class Reload(Request):

@@ -1,0 +1,63 @@
+"""`tutti job ls` and `prune`: the jobs that the journal knows."""
+
+from datetime import datetime
+
+import click
+
+from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.job_terms import Instant, Span
+
+_STATES = (
+    *("queued", "planning", "arming", "armed", "committed", "running", "holding"),
+    *("done", "failed", "cancelled", "aborted", "interrupted"),
+)
+
+
+@click.command("ls", epilog="Example: tutti job ls --state failed --since 7d --limit 5")
+@fleet_options
+@json_option
+@click.option("--limit", default=20, show_default=True, type=click.IntRange(1, 10_000))
+@click.option("--state", default=None, type=click.Choice(_STATES), help="Only jobs in this state.")
+@click.option("--name", default="", help="Only jobs with this text in their name.")
+@click.option("--since", default=None, type=Instant(past=True), help="Submitted at this time or later, or an age: 7d.")
+def list_jobs(
+    connect: str, fleet: str | None, as_json: bool, limit: int, state: str | None, name: str, since: datetime | None
+) -> None:
+    """List the newest jobs. #: the place in the queue of those that wait."""
+    from orchestrator.client import Tutti
+    from orchestrator.model.service import ListJobs
+    from orchestrator.monitor.tables import plain_table
+
+    async def act(tutti: Tutti) -> None:
+        asked = ListJobs.model_validate({**tutti.fields(), "state": state})
+        found = await tutti.jobs(limit, asked.state, name, None if since is None else since.isoformat())
+        if as_json:
+            print_json([entry.to_plain() for entry in found.jobs])
+            return
+        table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
+        table.add_column("reason", overflow="fold")
+        for entry in found.jobs:
+            place = "" if entry.place is None else str(entry.place)
+            submitted = entry.submitted_utc[:19].replace("T", " ")
+            table.add_row(entry.id, entry.name, entry.actor, place, entry.state, submitted, entry.reason)
+        console.print(table)
+        if found.total > len(found.jobs):
+            console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
+
+    with_fleet(connect, fleet, act)
+
+
+@click.command(epilog="Example: tutti job prune --older 90d --keep 1000")
+@click.option("--older", required=True, type=Span(), help="Jobs that were submitted longer ago, e.g. 90d.")
+@click.option("--keep", default=1000, show_default=True, type=click.IntRange(0), help="The newest are kept anyway.")
+@fleet_options
+@json_option
+def prune(older: float, keep: int, connect: str, fleet: str | None, as_json: bool) -> None:
+    """Forget ended jobs, with their reports. Their client keys are forgotten too: such a key then gives a new job."""
+    from orchestrator.client import Tutti
+
+    async def act(tutti: Tutti) -> None:
+        gone = await tutti.prune(older, keep)
+        print_json({"jobs": gone}) if as_json else console.print(f"{gone} jobs are forgotten", highlight=False)
+
+    with_fleet(connect, fleet, act)

@@ -1,0 +1,135 @@
+"""Options about a job's place in the queue, and times as people write them."""
+
+import re
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+
+import click
+
+from orchestrator.cli.common import console
+
+if TYPE_CHECKING:
+    from orchestrator.model.queue import Terms
+    from orchestrator.model.report import QueueEntry
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_SPAN = re.compile(r"^\s*(\d+(?:\.\d*)?)\s*(s|min|h|d|w)\s*$")
+_SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
+_CLOCK = re.compile(r"^\d{1,2}:\d{2}(:\d{2})?$")
+
+
+class TermsOptions(TypedDict):
+    """What `terms_options` gives to a command."""
+
+    priority: int
+    repeat: int
+    after: str | None
+    at: datetime | None
+    missed: str
+    held: bool
+
+
+class Span(click.ParamType[float]):
+    """A span of time as `90d`, `2h`, `1.5min`: seconds."""
+
+    name = "duration"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        found = _SPAN.match(str(value))
+        if not found:
+            self.fail(f"{value!r}: write a number and s, min, h, d or w, e.g. 90d", param, ctx)
+        return float(found[1]) * _SECONDS[found[2]]
+
+
+class Instant(click.ParamType[datetime]):
+    """An RFC 3339 time; without an offset it is local, and `22:30` is the next one to come. Aware, in local time."""
+
+    name = "time"
+
+    def __init__(self, past: bool = False) -> None:
+        self._past = past
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime:
+        if isinstance(value, datetime):
+            return value
+        text, now = str(value), datetime.now().astimezone()
+        if self._past and _SPAN.match(text):
+            return now - timedelta(seconds=Span().convert(text, param, ctx))
+        try:
+            if _CLOCK.match(text):
+                clock = datetime.strptime(text, "%H:%M:%S" if text.count(":") == 2 else "%H:%M").time()
+                day = now.date()
+                wanted = datetime.combine(day, clock).astimezone()
+                if not self._past and wanted <= now:
+                    wanted = datetime.combine(day + timedelta(days=1), clock).astimezone()
+                return wanted
+            return datetime.fromisoformat(text).astimezone()
+        except (ValueError, OverflowError):
+            also = ", or an age as 7d" if self._past else ""
+            known = "2026-11-21T22:30:00+01:00, or 2026-11-21T22:30 or 22:30 in local time"
+            self.fail(f"{text!r}: write e.g. {known}{also}", param, ctx)
+
+
+def terms_options(command: F) -> F:
+    """Adds `--priority`, `--repeat`, `--after`, `--at`, `--missed` and `--hold`."""
+    options = (
+        click.option(
+            "--priority", default=0, show_default=True, type=click.IntRange(-100, 100), help="Higher ones come first."
+        ),
+        click.option("--repeat", default=1, show_default=True, type=click.IntRange(1, 10_000), help="Times to run it."),
+        click.option("--after", default=None, metavar="JOB", help="Begin when JOB is done; never if it fails."),
+        click.option("--at", default=None, type=Instant(), help="Not before this time: RFC 3339, or local time."),
+        click.option(
+            "--missed",
+            default="skip",
+            show_default=True,
+            type=click.Choice(["run", "skip"]),
+            help="What becomes of it if no coordinator is there at its time.",
+        ),
+        click.option("--hold", "held", is_flag=True, help="Let it wait until `tutti job release`."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def make_terms(options: TermsOptions) -> "Terms":
+    """The options as the service takes them."""
+    from orchestrator.model.queue import Terms
+
+    at = options["at"]
+    return Terms.model_validate({**options, "at": None if at is None else at.isoformat()})
+
+
+def tell_accepted(entry: "QueueEntry") -> None:
+    """Say that a job is in the queue, and when it begins if it has a time."""
+    console.print(f"job {entry.id} is accepted", highlight=False)
+    for line in entry_lines(entry):
+        console.print(f"  {line}", highlight=False, markup=False)
+
+
+def entry_lines(entry: "QueueEntry") -> list[str]:
+    """What is special about a job's place in the queue, in lines."""
+    terms = entry.terms
+    lines: list[str] = []
+    if entry.origin is not None:
+        lines.append(f"does job {entry.origin} again, from step {entry.from_step} on")
+    if terms.at is not None:
+        local = datetime.fromisoformat(terms.at).astimezone().isoformat(sep=" ", timespec="seconds")
+        missed = "begins late" if terms.missed == "run" else "is skipped"
+        lines.append(f"at {local} ({terms.at}); {missed} if nobody reigns then")
+    if terms.after is not None:
+        lines.append(f"after job {terms.after}")
+    if terms.repeat > 1:
+        lines.append(f"{terms.repeat} times")
+    if terms.priority:
+        lines.append(f"priority {terms.priority}")
+    if entry.held_by:
+        lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
+    if entry.place is not None:
+        lines.append(f"place {entry.place} in the queue: {entry.reason}")
+    return lines
