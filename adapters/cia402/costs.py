@@ -1,0 +1,38 @@
+"""What arming, disarming and stopping take at the most, on a bus with so many drives that do the same at once."""
+
+from math import ceil
+
+from adapters.cia402.bus import SYNC
+from adapters.cia402.options import Options
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.link.can import CanFrame, frame_ns
+from orchestrator.model.state import Costs
+
+_FULL = CanFrame(0x7FF, bytes(8))
+_READS, _ORDERS = 4, 5  # of arming: SDOs read back; mode, target, profile, and what the drive says about it
+_HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
+_HANDLED_NS = 5 * NS_PER_MS  # an SDO server answers in so much, as a rule
+
+
+def full_frame_ns(bitrate: int) -> int:
+    """The longest frame on the bus."""
+    return frame_ns(_FULL, bitrate)
+
+
+def sync_ns(bitrate: int) -> int:
+    """The SYNC on the bus."""
+    return frame_ns(SYNC, bitrate)
+
+
+def costs(options: Options, bitrate: int, drives: int, ramp_s: float) -> Costs:
+    """Bounds in ns. ramp_s: the longest ramp of the motion that may have to be stopped."""
+    each_ns = full_frame_ns(bitrate) * drives
+    way_ns = options.wire_jitter_us * NS_PER_US + _HOST_NS
+    cycle_ns = (options.cycle_us + options.start_us + options.start_spread_us) * NS_PER_US
+    exchange_ns = 2 * each_ns + 2 * way_ns + _HANDLED_NS
+    said_ns = 2 * way_ns + cycle_ns + options.inhibit_ms * NS_PER_MS
+    return Costs(
+        arm_ns=_READS * exchange_ns + _ORDERS * each_ns + said_ns,
+        disarm_ns=3 * each_ns + 2 * way_ns + cycle_ns,
+        stop_ns=3 * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),
+    )

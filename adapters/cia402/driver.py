@@ -1,0 +1,333 @@
+"""The driver of one CiA 402 drive."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from adapters.cia402 import objects as o
+from adapters.cia402 import startup, states
+from adapters.cia402.bus import SHARED, Bus
+from adapters.cia402.costs import costs
+from adapters.cia402.fleetaxes import POINTS, POSITION_MAX, node, only_axis, passive_outputs, ramp_s
+from adapters.cia402.hand import Hand
+from adapters.cia402.lowering import BusTimes, CiaLowered, lower
+from adapters.cia402.moves import Mover
+from adapters.cia402.node import Node
+from adapters.cia402.objects import Obj, point_bit
+from adapters.cia402.options import Options
+from adapters.cia402.pdo import pdos
+from adapters.cia402.power import Power
+from adapters.cia402.sdo import bus_off
+from adapters.cia402.starts import Starts
+from adapters.cia402.states import State
+from adapters.contract import (
+    AxisReading,
+    CannotDo,
+    Capabilities,
+    Driver,
+    DriverFault,
+    Identity,
+    JogMove,
+    Lowered,
+    Outcome,
+    Reading,
+    Setup,
+    Span,
+)
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.fleet import CanBusLink
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs, Fault
+
+_STARTS = "cia402 starts"
+_NEGATIVE_LIMIT, _POSITIVE_LIMIT = 1, 2  # bits of 60FDh
+
+
+class CiaDriver(Driver):
+    """Drives one node. Its state comes by PDO; SDOs take turns by node, and a stop is a frame of its own."""
+
+    def __init__(self, setup: Setup, options: Options) -> None:
+        self._setup = setup
+        self._config = setup.config
+        self._options = options
+        self._clock = setup.clock
+        self._number = node(setup.config)
+        self._axis, axis = only_axis(setup.config)
+        link = setup.config.link
+        assert isinstance(link, CanBusLink)
+        self._bus: Bus = setup.shared.setdefault(SHARED, Bus(setup.clock, link.bitrate))
+        self._bus.join(self._number, options.start_us * NS_PER_US)
+        self._starts: Starts = setup.shared.setdefault(_STARTS, Starts(self._bus))
+        self._ramp_s = ramp_s(axis)
+        self._settle_ns = round(axis.in_position_timeout_s * NS_PER_S)
+        self._pdos = pdos(options, outputs=bool(setup.config.outputs))
+        self._node: Node | None = None
+        self._power: Power | None = None
+        self._mover: Mover | None = None
+        self._hand: Hand | None = None
+        self._boots = 0
+        self._met = self._stranger = self._restarted = False
+
+    # Meeting the drive
+
+    async def connect(self) -> Identity:
+        link = self._config.link
+        assert isinstance(link, CanBusLink)
+        if self._bus.bitrate != link.bitrate:
+            raise DriverFault(
+                "config-mismatch",
+                f"{link.place}: the drives of one bus do not agree on link.bitrate",
+                "give all of them the same",
+            )
+        await self._attach()
+        found, power = self._connected(), self._power
+        assert power is not None
+        mover = self._mover = Mover(self._options, found, self._starts, self._setup.firer, power, self._settle_ns)
+        hand = self._hand = Hand(self._config, self._options, found, power, lambda: mover.move is not None)
+        mover.busy = lambda: hand.homing or hand.jogging
+        identity = await startup.identify(found)
+        self._stranger = await startup.take_over(found, self._starts, self._options, self._pdos)
+        self._boots = found.boots
+        return identity
+
+    async def _attach(self) -> None:
+        answer_ns = self._options.answer_ms * NS_PER_MS
+        name = f"node {self._number}"
+        fresh = Node(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
+        await self._bus.attach(self._number, fresh, self._setup.open_link)
+        self._node, self._power = fresh, Power(fresh, passive_outputs(self._config))
+
+    async def configure(self) -> None:
+        found = self._connected()
+        await startup.rest(found, self._options.busy_wait_s)
+        await startup.compare(found, self._config, self._options)
+        # Said by the next poll: whoever reaches a drive again must hear that it was off meanwhile.
+        self._restarted = self._restarted or (self._stranger and self._met)
+        self._met = True
+
+    def _costs(self, longest_ramp_s: float) -> Costs:
+        return costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(
+            start_classes=("sync",), orders=(2,), independent_axes=False, costs=self._costs(self._ramp_s)
+        )
+
+    async def poll(self) -> Reading:
+        """What the drive has said by itself; it is asked nothing."""
+        found = self._connected()
+        silent_ns = 3 * max(self._options.heartbeat_ms, self._options.state_ms) * NS_PER_MS
+        if self._bus.off:
+            raise bus_off(found.name)
+        began_ns = self._clock.now_ns()
+        if began_ns - found.heard_ns > silent_ns and not await found.soon(lambda: found.heard_ns >= began_ns):
+            raise DriverFault(
+                "no-answer",
+                f"{found.name} has been silent for {(self._clock.now_ns() - found.heard_ns) // NS_PER_MS} ms, its "
+                f"heartbeat comes every {self._options.heartbeat_ms} ms",
+                "check its power, the cable and both terminations",
+            )
+        restarted, self._restarted = self._restarted, False
+        if found.boots != self._boots:
+            restarted = True
+            await self._recover(found)
+        return self._reading(found, restarted)
+
+    async def _recover(self, found: Node) -> None:
+        """The drive was switched off and on: load again what it has lost."""
+        self._moving().forget()
+        boots = found.boots
+        await startup.take_over(found, self._starts, self._options, self._pdos)
+        await startup.compare(found, self._config, self._options)
+        self._boots = boots
+
+    def _reading(self, found: Node, restarted: bool) -> Reading:
+        moving = self._moves(found)
+        axis = AxisReading(
+            commanded_counts=found.demand,
+            actual_counts=float(found.actual),
+            velocity_counts_s=found.velocity / float(self._options.velocity_units) if moving else 0.0,
+            moving=moving,
+            enabled=found.enabled,
+            limit=_limit(found.inputs),
+        )
+        return Reading(
+            at_ns=found.state_ns if moving and found.state_ns else found.heard_ns,
+            axes={self._axis: axis},
+            inputs={number: bool(found.inputs & point_bit(number)) for number in POINTS},
+            outputs={number: bool(found.outputs & point_bit(number)) for number in POINTS}
+            if self._config.outputs
+            else {},
+            faults=self._faults(found),
+            restarted=restarted,
+        )
+
+    def _moves(self, found: Node) -> bool:
+        """By its own word while something is under way; else by its position, which says it a little later."""
+        assert self._hand is not None
+        mover = self._moving()
+        stepping = mover.move is not None and mover.move.started is not None
+        under_way = stepping or self._hand.homing or self._hand.jogging
+        if under_way and found.enabled and not found.status & states.TARGET_REACHED:
+            return True
+        return bool(found.moved_ns) and self._clock.now_ns() - found.moved_ns < 2 * self._options.inhibit_ms * NS_PER_MS
+
+    def _faults(self, found: Node) -> list[Fault]:
+        codes = dict(found.emergencies)
+        if not codes and found.state in (State.FAULT, State.REACTION):
+            codes = {0: found.why()}
+        return [
+            Fault(
+                code="emergency" if code else "fault",
+                text=f"{found.name}: {text}",
+                remedy="take away its cause, then clear it with `tutti reset`",
+                axis=self._axis,
+            )
+            for code, text in codes.items()
+        ]
+
+    # A step
+
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> CiaLowered:
+        longest_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
+        times = BusTimes(self._bus.bitrate, self._bus.start_ns)
+        return lower(self._config, self._options, times, self._costs(longest_s), profiles, how)
+
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, CiaLowered)
+        return await self._moving().arm(lowered, t0_ns)
+
+    async def verify(self) -> None:
+        await self._moving().verify()
+
+    async def go(self) -> None:
+        await self._moving().go()
+
+    async def disarm(self) -> None:
+        await self._moving().disarm()
+
+    async def started(self) -> Mapping[str, Span]:
+        return await self._moving().started()
+
+    async def outcome(self) -> Outcome:
+        return await self._moving().outcome()
+
+    async def stop(self, abort: bool) -> None:
+        """Halt, by the deceleration of the profile; or quick stop, by the drive's own."""
+        mover, power = self._moving(), self._power
+        assert power is not None
+        mover.interrupted(power.stop(abort))
+
+    async def stop_first(self) -> bool:
+        await self._attach()
+        assert self._power is not None
+        self._power.stop(False)
+        return True
+
+    # By hand
+
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        self._connected()
+        if axes:
+            assert self._power is not None
+            await self._power.switch(on)
+
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+        self._connected()
+        assert self._hand is not None
+        return await self._hand.home(axes, found) if axes else {}
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        del axis
+        self._connected()
+        assert self._hand is not None
+        await self._hand.jog(move)
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        if axes:
+            self._connected()
+            assert self._power is not None
+            self._power.stop(False)
+
+    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        """607Dh; the whole range for an axis that does not know where it is."""
+        found = self._connected()
+        for pair in limits.values():
+            low, high = (-POSITION_MAX, POSITION_MAX) if pair is None else pair
+            await startup.load(found, o.LIMIT_LOW, low)
+            await startup.load(found, o.LIMIT_HIGH, high)
+
+    async def set_output(self, number: int, on: bool) -> None:
+        found = self._connected()
+        mover = self._moving()
+        if mover.move is not None and mover.move.lowered.drive is not None:
+            raise CannotDo("busy", "a step drives an output, and all are written together", "wait for its end")
+        bit = point_bit(number)
+        found.outputs = found.outputs | bit if on else found.outputs & ~bit
+        found.order(found.control & ~states.NEW_SET_POINT)
+
+    async def clear_faults(self) -> None:
+        self._connected()
+        assert self._power is not None
+        await self._power.reset()
+
+    async def raw(self, command: str) -> str:
+        """`6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index and sub-index)."""
+        found = self._connected()
+        obj, value = _parsed(command)
+        if value is None:
+            return str(await found.sdo.read(obj))
+        await found.sdo.write(obj, value)
+        return "ok"
+
+    async def close(self) -> None:
+        found, self._node = self._node, None
+        if found is not None:
+            if self._mover is not None:
+                self._mover.forget()
+            if self._power is not None:
+                self._power.forget()
+            await self._bus.detach(self._number, found)
+
+    # Inside
+
+    def _connected(self) -> Node:
+        if self._node is None:
+            raise LinkClosed(f"{self._setup.controller} is not connected")
+        return self._node
+
+    def _moving(self) -> Mover:
+        self._connected()
+        assert self._mover is not None
+        return self._mover
+
+
+def _limit(inputs: int) -> Literal["none", "forward", "reverse", "both"]:
+    """The limit switches in 60FDh."""
+    negative, positive = inputs & _NEGATIVE_LIMIT, inputs & _POSITIVE_LIMIT
+    if negative and positive:
+        return "both"
+    return "reverse" if negative else "forward" if positive else "none"
+
+
+def _parsed(command: str) -> tuple[Obj, int | None]:
+    place, given, value = command.partition("=")
+    try:
+        address, _, bits = place.partition("/")
+        index, _, sub = address.partition(":")
+        obj = Obj(
+            int(index, 16), int(sub or "0", 16), int(bits or "32"), "object", signed=value.strip().startswith("-")
+        )
+        if obj.bits not in (8, 16, 32):
+            raise ValueError
+        number = int(value, 0) if given else None
+        if number is not None:
+            obj.encode(number)
+    except (ValueError, OverflowError):
+        raise CannotDo(
+            "raw-line", f"{command!r} is no access to an object", "write 6041:0/16 to read, 6081:0/32=1000 to write"
+        ) from None
+    return obj, number

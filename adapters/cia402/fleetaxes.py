@@ -1,0 +1,102 @@
+"""The controller's part of the fleet file in the drive's own terms: one node, one axis, whole units."""
+
+from math import ceil, floor
+
+from adapters.cia402.options import Options
+from adapters.cia402.shape import WORD_MAX, Bounds, Units
+from orchestrator.model.fleet import Axis, Controller
+
+MOTOR = "1"
+POINTS = range(1, 17)
+_NAMED_METHODS = {
+    "default": 37,
+    "current_position": 37,
+    "negative_limit_and_index": 1,
+    "positive_limit_and_index": 2,
+    "negative_limit": 17,
+    "positive_limit": 18,
+    "home_switch_positive": 23,
+    "home_switch_negative": 27,
+    "index_negative": 33,
+    "index_positive": 34,
+}
+POSITION_MAX = 2**31 - 1
+
+
+def node(config: Controller) -> int:
+    """The number of the node."""
+    assert config.link.kind == "can"
+    return config.link.unit
+
+
+def only_axis(config: Controller) -> tuple[str, Axis]:
+    return next(iter(config.axes.items()))
+
+
+def units(options: Options) -> Units:
+    return Units(float(options.velocity_units), float(options.acceleration_units))
+
+
+def bounds(axis: Axis) -> Bounds:
+    """Limits in counts."""
+    scale = float(axis.scale)
+    return Bounds(axis.limits.velocity * scale, axis.limits.acceleration * scale)
+
+
+def homing_method(axis: Axis) -> int:
+    """The number for 6098h."""
+    named = _NAMED_METHODS.get(axis.homing.method)
+    return int(axis.homing.method) if named is None else named
+
+
+def homing_numbers(axis: Axis, options: Options) -> tuple[int, int, int]:
+    """Speeds for the switch and for zero, and acceleration, in the drive's units."""
+    limits, homing, own, scale = bounds(axis), axis.homing, units(options), float(axis.scale)
+    fast = limits.velocity / 10 if homing.speed is None else homing.speed * scale
+    slow = fast / 10 if homing.search_speed is None else homing.search_speed * scale
+    return (
+        max(1, floor(fast * own.velocity)),
+        max(1, floor(slow * own.velocity)),
+        max(1, min(WORD_MAX, floor(limits.acceleration * own.acceleration))),
+    )
+
+
+def ramp_s(axis: Axis) -> float:
+    """The ramp from full speed at the limit of acceleration."""
+    return axis.limits.velocity / axis.limits.acceleration
+
+
+def passive_outputs(config: Controller) -> int:
+    """60FEh with every named output passive."""
+    return sum(1 << (15 + point.number) for point in config.outputs.values() if point.active == "low")
+
+
+def check(config: Controller, options: Options) -> None:
+    """Offline check of the fleet file. Raises `ValueError`."""
+    if config.link.kind != "can":
+        raise ValueError(f"link.kind: {config.link.kind!r} is no way to a CiA 402 drive; allowed: can")
+    if len(config.axes) != 1:
+        raise ValueError(f"axes: a drive has one axis, not {len(config.axes)}; give each node a controller of its own")
+    name, axis = only_axis(config)
+    if axis.motors[0] != MOTOR:
+        raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is no motor; allowed: '{MOTOR}'")
+    method = axis.homing.method
+    if method not in _NAMED_METHODS and not (method.lstrip("-").isdigit() and -128 <= int(method) <= 37):
+        raise ValueError(
+            f"axes.{name}.homing.method: {method!r} is unknown; allowed: {', '.join(_NAMED_METHODS)}, or a number of "
+            "6098h from -128 to 37"
+        )
+    limits, own = bounds(axis), units(options)
+    for what, value in (
+        ("velocity", limits.velocity * own.velocity),
+        ("acceleration", limits.acceleration * own.acceleration),
+    ):
+        if not 1 <= value <= WORD_MAX:
+            raise ValueError(
+                f"axes.{name}.limits.{what}: {ceil(value)} in the drive's units; allowed: 1 to {WORD_MAX}. See "
+                "`scale`, `velocity_units` and `acceleration_units`"
+            )
+    for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
+        for point_name, point in points.items():
+            if point.number not in POINTS:
+                raise ValueError(f"{kind}.{point_name}.number: {point.number} does not exist; allowed: 1 to 16")

@@ -1,0 +1,218 @@
+"""Profiles to a set-point of profile position mode, and where about T0 the SYNC starts it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+from adapters.cia402.costs import full_frame_ns, sync_ns
+from adapters.cia402.fleetaxes import POSITION_MAX, bounds, only_axis, units
+from adapters.cia402.objects import point_bit
+from adapters.cia402.options import Options
+from adapters.cia402.shape import Trapezoid, fit
+from adapters.contract import CannotDo, Lowered, require_how
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import LineDrive, StartWay, Term
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs
+
+_SHORT_ROOM = 0.02  # a move may be too short by this part of the wanted duration; more is refused
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """An output that is switched by the SYNC. bit: in 60FEh. high: its level when active."""
+
+    name: str
+    bit: int
+    high: bool
+    hold_ns: int
+
+    def switched(self, outputs: int, *, active: bool) -> int:
+        """60FEh with this output active or passive."""
+        return outputs | self.bit if active == self.high else outputs & ~self.bit
+
+
+@dataclass(frozen=True, slots=True)
+class CiaLowered(Lowered):
+    """What `arm` needs. lead_ns: the SYNC is written so long before T0. shape: None, when nothing moves."""
+
+    axis: str = ""
+    start_counts: int = 0
+    target: int | None = None
+    shape: Trapezoid | None = None
+    lead_ns: int = 0
+    drive: Drive | None = None
+
+    @property
+    def window_ns(self) -> tuple[int, int]:
+        """The start about T0, by all terms together."""
+        parts = self.terms or self.edge
+        return sum(each.earliest_ns for each in parts), sum(each.latest_ns for each in parts)
+
+
+@dataclass(frozen=True, slots=True)
+class BusTimes:
+    """What lowering knows of the bus. start_ns: the usual time from SYNC to motion that its drives have agreed on."""
+
+    bitrate: int
+    start_ns: int
+
+
+def lower(
+    config: Controller, options: Options, bus: BusTimes, costs: Costs, profiles: Mapping[str, Profile], how: StartWay
+) -> CiaLowered:
+    """Raises `CannotDo`."""
+    if how.wait is not None or how.by == "line":
+        raise CannotDo(
+            "start-class",
+            "no start by line: what a CiA 402 drive does by an input of its own is its maker's",
+            "ask for start class sync",
+        )
+    require_how(how, ("sync",), "a CiA 402 drive starts with the SYNC of its bus, and has no clock to start by")
+    name, _ = only_axis(config)
+    drive = _driven(config, how.drive)
+    profile = profiles.get(name)
+    shape = None if profile is None else _shape(config, options, profile)
+    moves = profile is not None and shape is not None
+    terms = _terms(options, bus)
+    commands: tuple[str, ...] = ()
+    if profile is not None and shape is not None:
+        commands = (
+            f"607Ah = {profile.end_counts}, 6081h = {shape.velocity}",
+            f"6083h = {shape.acceleration}, 6084h = {shape.deceleration}",
+            "6040h = 001Fh with SYNC",
+        )
+    if drive is not None:
+        commands += (f"60FEh bit {drive.bit.bit_length() - 1} {'on' if drive.high else 'off'} with SYNC",)
+    return CiaLowered(
+        start_class="sync",
+        durations_s={} if profile is None else {name: shape.duration_s if shape is not None else 0.0},
+        path_error_counts={} if profile is None else {name: path_error(profile, shape)},
+        terms=terms,
+        edge=terms if drive is not None else (),
+        tick_ns=0.0,
+        costs=costs,
+        commands=commands,
+        axis=name,
+        start_counts=0 if profile is None else profile.start_counts,
+        target=profile.end_counts if moves and profile is not None else None,
+        shape=shape,
+        lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
+        drive=drive,
+    )
+
+
+def _terms(options: Options, bus: BusTimes) -> tuple[Term, ...]:
+    """The SYNC is written so that without any delay it is over, and has had its usual effect, at T0.
+
+    On the bus it wins against everything that waits, but not against a frame that is under way.
+    """
+    off_ns = options.start_us * NS_PER_US - bus.start_ns
+    early_ns = min(options.start_spread_us, options.start_us) * NS_PER_US
+    shortest_ns = sync_ns(bus.bitrate) // 2  # it may have no stuff bits
+    return (
+        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        Term(
+            name="wire",
+            earliest_ns=-shortest_ns,
+            latest_ns=options.wire_jitter_us * NS_PER_US + full_frame_ns(bus.bitrate),
+        ),
+        Term(name="tick", earliest_ns=0, latest_ns=options.cycle_us * NS_PER_US),
+        Term(
+            name="firmware",
+            earliest_ns=off_ns - early_ns,
+            latest_ns=off_ns + options.start_spread_us * NS_PER_US,
+        ),
+    )
+
+
+def _driven(config: Controller, drive: LineDrive | None) -> Drive | None:
+    if drive is None:
+        return None
+    point = config.outputs.get(drive.output)
+    if point is None:
+        raise CannotDo(
+            "start-class", f"no line to drive: there is no output {drive.output}", "name the output in the fleet file"
+        )
+    return Drive(drive.output, point_bit(point.number), point.active == "high", drive.hold_ns)
+
+
+def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid | None:
+    name, axis = only_axis(config)
+    if any(profile.jerks):
+        raise CannotDo(
+            "jerk",
+            f"axis {name}: profile position mode runs trapezoids, and positions are not streamed to CiA 402 drives yet",
+            "leave `jerk` out of the axis's limits",
+        )
+    way = abs(profile.end_counts - profile.start_counts)
+    if way == 0:
+        return None
+    if max(abs(profile.end_counts), abs(profile.start_counts)) > POSITION_MAX:
+        raise CannotDo(
+            "too-far",
+            f"axis {name}: a move to {profile.end_counts} counts is beyond {POSITION_MAX}",
+            "home the axis, or make the move shorter",
+        )
+    wanted_s, limits = profile.duration_s, bounds(axis)
+    shape = fit(way, wanted_s, profile.peak_velocity, limits, units(options))
+    if shape is None:
+        raise CannotDo(
+            "limits",
+            f"axis {name}: no whole numbers of the drive's units are within {limits.velocity:g} counts/s and "
+            f"{limits.acceleration:g} counts/s²",
+            "correct `velocity_units` and `acceleration_units`",
+        )
+    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+        raise CannotDo(
+            "too-slow",
+            f"axis {name}: {way} counts in {wanted_s:.6g} s is slower than the drive can in whole units; the longest "
+            f"that it can take is {shape.duration_s:.6g} s",
+            f"plan {shape.duration_s:.6g} s or less",
+        )
+    return shape
+
+
+def path_error(profile: Profile, shape: Trapezoid | None) -> float:
+    """The largest distance between what is executed and the plan, from a common start, in counts.
+
+    Both are parabolas between their knots, so that the extremes of their difference are at knots or at its vertices.
+    One count more, because the drive goes in whole ones.
+    """
+    if shape is None:
+        return 0.0
+    sign = 1 if profile.end_counts > profile.start_counts else -1
+    executed: list[tuple[float, float, float, float]] = []
+    clock_s = position = 0.0
+    for leg in shape.legs:
+        executed.append((clock_s, sign * position, sign * leg.speed, sign * leg.acceleration))
+        clock_s += leg.duration_s
+        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
+    executed.append((clock_s, float(sign * shape.distance), 0.0, 0.0))
+    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
+    planned.append((profile.duration_s, float(sign * shape.distance), 0.0, 0.0))
+    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
+    worst = 0.0
+    for begin_s, end_s in pairwise(knots):
+        mine, plan = _piece(executed, begin_s, end_s), _piece(planned, begin_s, end_s)
+        a = mine[3] - plan[3]
+        v = (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
+        x = _at(mine, begin_s) - _at(plan, begin_s)
+        instants = [0.0, end_s - begin_s]
+        if a and 0.0 < -v / a < end_s - begin_s:
+            instants.append(-v / a)
+        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
+    return worst + 1.0
+
+
+def _piece(
+    pieces: list[tuple[float, float, float, float]], begin_s: float, end_s: float
+) -> tuple[float, float, float, float]:
+    middle_s = (begin_s + end_s) / 2
+    return max((each for each in pieces if each[0] <= middle_s), key=lambda each: each[0])
+
+
+def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
+    t = time_s - piece[0]
+    return piece[1] + t * (piece[2] + t * piece[3] / 2)

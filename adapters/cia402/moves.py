@@ -1,0 +1,375 @@
+"""One step of a drive: its set-point loaded and read back, held back for the SYNC of the bus, followed to its end."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil, floor
+
+from adapters.cia402 import objects as o
+from adapters.cia402 import states
+from adapters.cia402.costs import full_frame_ns, sync_ns
+from adapters.cia402.lowering import CiaLowered
+from adapters.cia402.node import Node
+from adapters.cia402.options import Options
+from adapters.cia402.power import Power
+from adapters.cia402.sdo import bus_off
+from adapters.cia402.starts import Shot, Starts
+from adapters.cia402.states import State
+from adapters.contract import CannotDo, DriverFault, Firer, Outcome, Span
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
+from orchestrator.link.base import LinkClosed
+
+_OVERDUE_NS = NS_PER_S  # a motion that ends later than this is held, or has never begun
+_SHORTEST_SYNC = 2  # its longest form has so many times the bits of its shortest one, at the most
+
+
+@dataclass(slots=True, eq=False)
+class Move:
+    """A step that is loaded. boots, left: how often the drive had started, and this computer had left the bus."""
+
+    lowered: CiaLowered
+    t0_ns: int
+    shot: Shot
+    boots: int
+    left: int
+    outputs: int
+    released: bool = False
+    followed: bool = False
+    started: Span | None = None
+    stopped_ns: int | None = None
+    release: Timer | None = None
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Mover:
+    """Arms, starts and follows steps of one connection."""
+
+    def __init__(
+        self, options: Options, node: Node, starts: Starts, firer: Firer, power: Power, settle_ns: int
+    ) -> None:
+        self._options = options
+        self._node = node
+        self._starts = starts
+        self._firer = firer
+        self._power = power
+        self._settle_ns = settle_ns
+        self.move: Move | None = None
+        self.busy: Callable[[], bool] = lambda: False
+        """Whether something else moves the axis."""
+
+    # Before the start
+
+    async def arm(self, lowered: CiaLowered, t0_ns: int) -> Mapping[str, int]:
+        """Raises `CannotDo`; then nothing is loaded."""
+        node = self._node
+        if self.move is not None or self.busy():
+            raise CannotDo("busy", "a motion is loaded or under way", "disarm or stop it")
+        shot = self._starts.reserve(node.number, t0_ns)
+        move = self.move = Move(lowered, t0_ns, shot, node.boots, node.left_bus, node.outputs)
+        try:
+            return await self._load(move)
+        except BaseException:
+            self._starts.drop(node.number, shot)
+            if self.move is move:
+                self.move = None
+            raise
+
+    async def _load(self, move: Move) -> Mapping[str, int]:
+        node, lowered = self._node, move.lowered
+        await self._power.stopped()
+        began_ns, stops = node.clock.now_ns(), node.stops
+        if lowered.drive is not None and node.outputs != lowered.drive.switched(node.outputs, active=False):
+            raise CannotDo(
+                "line-level",
+                f"output {lowered.drive.name} is active already",
+                "make the line passive; see `active` in the fleet file",
+            )
+        node.require_well()
+        shape, target = lowered.shape, lowered.target
+        if shape is None or target is None:
+            return {"wire": 0}
+        self._require_start(move)
+        control = states.ENABLE
+        node.order(control, o.PROFILE_POSITION_MODE)
+        node.bus.send(*node.set_point(target, shape.velocity, shape.acceleration, shape.deceleration))
+        ready = await node.soon(
+            lambda: (node.mode == o.PROFILE_POSITION_MODE and not node.status & states.ACKNOWLEDGED) or not node.enabled
+        )
+        if not ready or not node.enabled:
+            raise CannotDo(
+                "wrong-mode",
+                f"{node.name} does not go over to profile position mode; it shows mode {node.mode} and is "
+                f"{node.state.value}",
+                "does it have this mode (6502h)? Is another master on the bus?",
+            )
+        loaded_ns = node.clock.now_ns()
+        for obj, value in (
+            (o.TARGET, target),
+            (o.PROFILE_VELOCITY, shape.velocity),
+            (o.ACCELERATION, shape.acceleration),
+            (o.DECELERATION, shape.deceleration),
+        ):
+            found = await node.sdo.read(obj)
+            if found != value:
+                raise CannotDo(
+                    "load-garbled",
+                    f"{node.name} holds {found} in {obj}, and was given {value}",
+                    "arm again; is another master on the bus?",
+                )
+        if node.stops != stops:
+            raise CannotDo("stopped", "a stop came while arming", "")
+        self._require_start(move)
+        return {"wire": loaded_ns - began_ns, "verify": node.clock.now_ns() - loaded_ns}
+
+    async def verify(self) -> None:
+        """Still loaded, still where the plan starts. Raises `CannotDo`."""
+        move, node = self._require(), self._node
+        node.require_well()
+        if node.boots != move.boots:
+            raise CannotDo("not-loaded", f"{node.name} was switched off and on", "arm again")
+        if move.left != node.left_bus:
+            raise CannotDo("bus-off", f"{node.name} could not be reached meanwhile", "arm again")
+        if move.lowered.shape is not None:
+            self._require_start(move)
+            if node.mode != o.PROFILE_POSITION_MODE:
+                raise CannotDo("not-loaded", f"{node.name} shows mode {node.mode} of operation", "arm again")
+
+    async def go(self) -> None:
+        """Have the set-point wait in the drive for the SYNC, and the SYNC written so that the motion is at T0."""
+        move, node = self._require(), self._node
+        lowered = move.lowered
+        if lowered.shape is None and lowered.drive is None:
+            return
+        at_ns = move.t0_ns - lowered.lead_ns
+        # What waits in the drive must be there before the SYNC.
+        if node.clock.now_ns() + NS_PER_MS >= at_ns:
+            raise CannotDo("late", "the instant to write the SYNC is past", "give more lead time")
+        control = node.control if lowered.shape is None else states.ENABLE | states.NEW_SET_POINT
+        outputs = node.outputs
+        if lowered.drive is not None:
+            outputs = lowered.drive.switched(outputs, active=True)
+            self._power.drives(True, lowered.drive.switched(outputs, active=False))
+        move.released = node.loaded = True
+        frame = node.at_sync(control, outputs)
+        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        self._starts.load(node.number, move.shot, frame, self._firer, at_ns, latest_ns)
+
+    async def disarm(self) -> None:
+        """Take back what waits in the drive, and the SYNC unless others need it. Nothing starts any more."""
+        move, self.move = self.move, None
+        if move is not None:
+            self._take_back(move)
+        await self._power.stopped()
+
+    def _take_back(self, move: Move) -> None:
+        node = self._node
+        waits = self._starts.drop(node.number, move.shot)
+        if move.released and not move.shot.fired.done():
+            # Its instant is not over; the drive gets nothing new from it.
+            move.shot.held.pop(node.number, None)
+        self._passive(move)
+        if waits:
+            # The SYNC that takes it finds what the drive does anyway.
+            node.bus.send(*node.orders(node.control & ~states.NEW_SET_POINT))
+            self._starts.flush()
+        node.loaded = False
+
+    def _passive(self, move: Move) -> None:
+        """The driven output is passive, now and when its time is over."""
+        if move.release is not None:
+            move.release.cancel()
+            move.release = None
+        drive, node = move.lowered.drive, self._node
+        if drive is not None:
+            self._power.drives(False, 0)
+            node.outputs = drive.switched(node.outputs, active=False)
+            if move.released and node.mapped:
+                node.order(node.control & ~states.NEW_SET_POINT)
+
+    def interrupted(self, at_ns: int) -> None:
+        """A stop was written at that instant."""
+        move = self.move
+        if move is None:
+            return
+        move.stopped_ns = at_ns
+        before = not move.shot.fired.done()
+        self._take_back(move)
+        if before or not move.followed:
+            self.move = None
+        move.changed.set()
+        self._node.wake()
+
+    def forget(self) -> None:
+        """The connection ends; what waits for an instant does not any more."""
+        move, self.move = self.move, None
+        if move is not None:
+            self._starts.drop(self._node.number, move.shot)
+            if move.release is not None:
+                move.release.cancel()
+
+    # After the start
+
+    async def started(self) -> Mapping[str, Span]:
+        """When the axis started; raises `DriverFault` when it did not."""
+        move, node = self._require(), self._node
+        move.followed = True
+        lowered = move.lowered
+        names = list(lowered.durations_s)
+        if lowered.shape is None and lowered.drive is None:
+            return {name: Span(move.t0_ns, move.t0_ns) for name in names}
+        fired = await asyncio.shield(move.shot.fired)
+        node.loaded = False
+        if fired is None or (move.stopped_ns is not None and move.stopped_ns < fired.written_ns):
+            raise DriverFault("not-started", "the order to start was taken back", "")
+        if fired.late:
+            node.bus.send(node.at_sync(node.control & ~states.NEW_SET_POINT))
+            self._starts.flush()
+            raise DriverFault("late", "the instant to write the SYNC was missed", "check the host's load")
+        if lowered.drive is not None:
+            self._hold(move)
+        if lowered.shape is None:
+            return {name: Span(move.t0_ns, move.t0_ns) for name in names}
+        earliest_ns, latest_ns = self._promised(fired.written_ns)
+        taken = await node.until(
+            lambda: self._interrupted_now(move) or node.acknowledged_ns > fired.written_ns, latest_ns + node.answer_ns
+        )
+        if node.acknowledged_ns <= fired.written_ns and move.stopped_ns is None:
+            raise self._not_started(move, taken)
+        heard_ns = node.acknowledged_ns if node.acknowledged_ns > fired.written_ns else latest_ns
+        # What the drive says is worth more than what is promised of it.
+        latest_ns = max(earliest_ns, min(latest_ns, heard_ns)) if heard_ns >= earliest_ns else heard_ns
+        span = Span(min(earliest_ns, latest_ns), latest_ns)
+        move.started = span
+        if move.stopped_ns is None:
+            node.order(states.ENABLE)
+        return dict.fromkeys(names, span)
+
+    def _promised(self, written_ns: int) -> tuple[int, int]:
+        """Where the start lies after the SYNC was handed over at `written_ns`."""
+        options, bitrate = self._options, self._node.bus.bitrate
+        least_us = max(0, options.start_us - options.start_spread_us)
+        most_us = options.wire_jitter_us + options.cycle_us + options.start_us + options.start_spread_us
+        earliest_ns = written_ns + sync_ns(bitrate) // _SHORTEST_SYNC + least_us * NS_PER_US
+        return earliest_ns, written_ns + sync_ns(bitrate) + full_frame_ns(bitrate) + most_us * NS_PER_US
+
+    def _not_started(self, move: Move, said: bool) -> DriverFault:
+        node = self._node
+        if node.bus.off or move.left != node.left_bus:
+            fault = bus_off(node.name).fault
+            return DriverFault(fault.code, fault.text, fault.remedy)
+        why = "has not taken its set-point with the SYNC" if not said else self._trouble(move) or "does not move"
+        return DriverFault(
+            "not-started",
+            f"{node.name} {why}; it is {node.state.value}" + (f": {node.why()}" if node.emergencies else ""),
+            "check the cable and both terminations; is another master on the bus?",
+        )
+
+    async def outcome(self) -> Outcome:
+        """Wait until the axis is at its target by the drive's own word, or will not get there."""
+        move, node, lowered = self._require(), self._node, self._require().lowered
+        at_t0 = {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
+        if lowered.shape is None or move.started is None:
+            await self._held(move)
+            self._over(move)
+            return (
+                Outcome("done", at_t0) if move.stopped_ns is None else Outcome("stopped", at_t0, "stopped on request")
+            )
+        seconds = lowered.durations_s[lowered.axis]
+        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1)
+        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1)
+
+        def arrived() -> bool:
+            return (
+                node.clock.now_ns() >= earliest_ns
+                and bool(node.status & states.TARGET_REACHED)
+                and node.demand == lowered.target
+            )
+
+        await node.until(lambda: self._interrupted_now(move), earliest_ns)
+        overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS
+        there = await node.until(lambda: arrived() or self._interrupted_now(move), overdue_ns)
+        if move.stopped_ns is None and not self._interrupted_now(move) and there:
+            await self._held(move)
+        trouble = self._trouble(move)
+        stopped = move.stopped_ns is not None
+        if stopped:
+            await self._power.stopped()
+        self._over(move)
+        now_ns = node.clock.now_ns()
+        if not stopped and not trouble and there:
+            return Outcome("done", {lowered.axis: Span(min(earliest_ns, latest_ns), latest_ns)})
+        spans = {lowered.axis: Span(min(move.started.earliest_ns, now_ns), now_ns)}
+        stands = f"axis {lowered.axis} stands at {node.demand}, not at its target {lowered.target}"
+        if stopped:
+            return Outcome("stopped", spans, f"stopped on request; {stands}")
+        return Outcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
+
+    def _interrupted_now(self, move: Move) -> bool:
+        return move.stopped_ns is not None or bool(self._trouble(move))
+
+    def _trouble(self, move: Move) -> str:
+        """What has befallen the drive since it was armed; empty: nothing."""
+        node = self._node
+        if node.boots != move.boots:
+            return "was switched off and on"
+        if node.bus.off or node.left_bus != move.left:
+            return "could not be reached: this computer has left the bus (bus-off)"
+        if node.state in (State.FAULT, State.REACTION):
+            return f"has a fault: {node.why()}"
+        if move.lowered.shape is not None and not node.enabled:
+            return f"is {node.state.value}: was it switched off by its enable input, or stopped by another master?"
+        if move.lowered.shape is not None and node.status & states.INTERNAL_LIMIT:
+            return "was stopped by a limit of its own (switch or software limit)"
+        return ""
+
+    # The driven line
+
+    def _hold(self, move: Move) -> None:
+        drive, node = move.lowered.drive, self._node
+        assert drive is not None
+        node.outputs = drive.switched(node.outputs, active=True)
+
+        def over() -> None:
+            if self.move is move:
+                with suppress(LinkClosed):
+                    self._passive(move)
+                node.wake()
+
+        move.release = node.clock.call_at_ns(move.t0_ns + move.lowered.window_ns[1] + drive.hold_ns, over)
+
+    async def _held(self, move: Move) -> None:
+        """Until the driven line is passive again."""
+        if move.release is not None:
+            await self._node.until(
+                lambda: move.release is None or self._interrupted_now(move), self._node.clock.now_ns() + 2**62
+            )
+
+    # Inside
+
+    def _over(self, move: Move) -> None:
+        self._passive(move)
+        self._starts.drop(self._node.number, move.shot)
+        if self.move is move:
+            self.move = None
+
+    def _require(self) -> Move:
+        if self.move is None:
+            raise CannotDo("not-armed", "no step is loaded", "arm it")
+        return self.move
+
+    def _require_start(self, move: Move) -> None:
+        node, lowered = self._node, move.lowered
+        if not node.enabled:
+            raise CannotDo("not-enabled", f"axis {lowered.axis} is not enabled", f"enable {lowered.axis} first")
+        if node.demand != lowered.start_counts:
+            raise CannotDo(
+                "other-start",
+                f"axis {lowered.axis} stands at {node.demand} counts; the plan starts at {lowered.start_counts}",
+                "plan again from where it stands",
+            )
+
+    def _device_ns(self, seconds: float, sign: int) -> int:
+        """A duration by the slowest (1) or quickest (-1) crystal."""
+        exact = seconds * NS_PER_S * (1 + sign * self._options.clock_ppm * 1e-6)
+        return ceil(exact) if sign > 0 else floor(exact)

@@ -1,0 +1,83 @@
+"""Objects of CiA 301 and CiA 402 that the adapter reads, writes and maps, by their names in the standards."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Obj:
+    """One variable of the object dictionary. bits: its length on the wire."""
+
+    index: int
+    sub: int
+    bits: int
+    name: str
+    signed: bool = False
+
+    @property
+    def mapping(self) -> int:
+        """Its entry in a mapping parameter object (CiA 301: index, sub-index, length)."""
+        return self.index << 16 | self.sub << 8 | self.bits
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.bits // 8
+
+    def encode(self, value: int) -> bytes:
+        return value.to_bytes(self.size, "little", signed=self.signed)
+
+    def decode(self, data: bytes) -> int:
+        return int.from_bytes(data[: self.size], "little", signed=self.signed)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.index:04X}h:{self.sub:02X})"
+
+
+DEVICE_TYPE = Obj(0x1000, 0, 32, "device type")
+ERROR_REGISTER = Obj(0x1001, 0, 8, "error register")
+HEARTBEAT = Obj(0x1017, 0, 16, "producer heartbeat time")
+SERIAL = Obj(0x1018, 4, 32, "serial number")
+DEVICE_NAME = Obj(0x1008, 0, 0, "manufacturer device name")
+SOFTWARE = Obj(0x100A, 0, 0, "manufacturer software version")
+
+ERROR_CODE = Obj(0x603F, 0, 16, "error code")
+CONTROLWORD = Obj(0x6040, 0, 16, "controlword")
+STATUSWORD = Obj(0x6041, 0, 16, "statusword")
+QUICK_STOP_OPTION = Obj(0x605A, 0, 16, "quick stop option code", signed=True)
+HALT_OPTION = Obj(0x605D, 0, 16, "halt option code", signed=True)
+MODE = Obj(0x6060, 0, 8, "modes of operation", signed=True)
+MODE_DISPLAY = Obj(0x6061, 0, 8, "modes of operation display", signed=True)
+DEMAND = Obj(0x6062, 0, 32, "position demand value", signed=True)
+ACTUAL = Obj(0x6064, 0, 32, "position actual value", signed=True)
+VELOCITY = Obj(0x606C, 0, 32, "velocity actual value", signed=True)
+TARGET = Obj(0x607A, 0, 32, "target position", signed=True)
+HOME_OFFSET = Obj(0x607C, 0, 32, "home offset", signed=True)
+LIMIT_LOW = Obj(0x607D, 1, 32, "min position limit", signed=True)
+LIMIT_HIGH = Obj(0x607D, 2, 32, "max position limit", signed=True)
+POLARITY = Obj(0x607E, 0, 8, "polarity")
+PROFILE_VELOCITY = Obj(0x6081, 0, 32, "profile velocity")
+ACCELERATION = Obj(0x6083, 0, 32, "profile acceleration")
+DECELERATION = Obj(0x6084, 0, 32, "profile deceleration")
+QUICK_STOP_DECELERATION = Obj(0x6085, 0, 32, "quick stop deceleration")
+PROFILE_TYPE = Obj(0x6086, 0, 16, "motion profile type", signed=True)
+ENCODER = (Obj(0x608F, 1, 32, "encoder increments"), Obj(0x608F, 2, 32, "motor revolutions of 608Fh"))
+GEAR = (Obj(0x6091, 1, 32, "gear motor revolutions"), Obj(0x6091, 2, 32, "gear shaft revolutions"))
+FEED = (Obj(0x6092, 1, 32, "feed"), Obj(0x6092, 2, 32, "shaft revolutions of 6092h"))
+HOMING_METHOD = Obj(0x6098, 0, 8, "homing method", signed=True)
+HOMING_SWITCH_SPEED = Obj(0x6099, 1, 32, "speed during search for switch")
+HOMING_ZERO_SPEED = Obj(0x6099, 2, 32, "speed during search for zero")
+HOMING_ACCELERATION = Obj(0x609A, 0, 32, "homing acceleration")
+INPUTS = Obj(0x60FD, 0, 32, "digital inputs")
+OUTPUTS = Obj(0x60FE, 1, 32, "physical outputs")
+OUTPUT_MASK = Obj(0x60FE, 2, 32, "output bit mask")
+
+PROFILE_POSITION_MODE = 1
+HOMING_MODE = 6
+
+FIRST_POINT_BIT = 16
+"""Inputs and outputs 1 to 16 are the maker's bits 16 to 31 of 60FDh and 60FEh."""
+
+
+def point_bit(number: int) -> int:
+    """The bit of input or output `number`."""
+    return 1 << (FIRST_POINT_BIT + number - 1)

@@ -1,0 +1,119 @@
+"""The SYNCs of one bus that start steps: which drives each of them starts, and that no other one starts them.
+
+A set-point waits in a synchronous RPDO for the next SYNC, whosever it is. So the steps of a bus go one after another:
+what a step loads is sent when every earlier start of the bus is over, and one SYNC starts all drives of a step.
+"""
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from adapters.cia402.bus import SYNC, Bus
+from adapters.contract import CannotDo, Fired, FireOrder, Firer
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.link.base import LinkClosed
+from orchestrator.link.can import CanFrame, encode
+
+APART_NS = 20 * NS_PER_MS
+"""Two starts of a bus are at least so far apart: time for the second one's set-points to be sent."""
+
+
+@dataclass(slots=True, eq=False)
+class Shot:
+    """One SYNC. reserved: drives that are armed for it. held: frames that are to be sent before it, by drive."""
+
+    t0_ns: int
+    reserved: set[int] = field(default_factory=set[int])
+    held: dict[int, CanFrame] = field(default_factory=dict[int, CanFrame])
+    sent: set[int] = field(default_factory=set[int])
+    order: FireOrder | None = None
+    following: asyncio.Task[None] | None = None
+    fired: "asyncio.Future[Fired | None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+    """When it was written; None: it was taken back."""
+
+
+class Starts:
+    """All starts of one bus that are still to come."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._shots: list[Shot] = []
+
+    def reserve(self, node: int, t0_ns: int) -> Shot:
+        """A drive is armed for `t0_ns`. Raises `CannotDo` (bus-busy) when another start of the bus is too near."""
+        self._sweep()
+        for shot in self._shots:
+            if shot.t0_ns == t0_ns:
+                shot.reserved.add(node)
+                return shot
+            if abs(shot.t0_ns - t0_ns) < APART_NS or (shot.sent and t0_ns < shot.t0_ns):
+                raise CannotDo(
+                    "bus-busy",
+                    f"the bus starts node {min(shot.reserved)} {(shot.t0_ns - t0_ns) / NS_PER_MS:+.3f} ms from that "
+                    "instant, and a SYNC starts every drive that is loaded",
+                    f"start drives of one bus in one step, or {APART_NS // NS_PER_MS} ms apart",
+                )
+        shot = Shot(t0_ns, {node})
+        self._shots.append(shot)
+        self._shots.sort(key=lambda each: each.t0_ns)
+        return shot
+
+    def load(self, node: int, shot: Shot, frame: CanFrame, firer: Firer, at_ns: int, latest_ns: int) -> None:
+        """Send `frame` when no earlier start can take it, and have the SYNC written at `at_ns`. Raises `LinkClosed`."""
+        shot.held[node] = frame
+        if shot.order is None:
+            shot.order = firer.schedule(self._bus.can.link, encode(SYNC), at_ns, latest_ns)
+            shot.following = asyncio.get_running_loop().create_task(self._follow(shot, shot.order))
+        self._advance()
+
+    def drop(self, node: int, shot: Shot) -> bool:
+        """The drive is disarmed. Whether its frame had been sent, so that it still waits in the drive for a SYNC."""
+        shot.reserved.discard(node)
+        shot.held.pop(node, None)
+        waiting = node in shot.sent and not shot.fired.done()
+        if not shot.reserved and not shot.fired.done():
+            if shot.order is not None:
+                shot.order.cancel()
+            self._over(shot, None)
+        return waiting
+
+    def flush(self) -> None:
+        """Have what waits in a drive taken now, while no start of others would be caused by it."""
+        self._sweep()
+        if not any(shot.sent for shot in self._shots):
+            self._bus.send(SYNC)
+
+    def lost(self) -> None:
+        """The link is closed."""
+        for shot in list(self._shots):
+            if shot.order is not None:
+                shot.order.cancel()
+            self._over(shot, None)
+
+    async def _follow(self, shot: Shot, order: FireOrder) -> None:
+        fired: Fired | None = None
+        with suppress(asyncio.CancelledError, LinkClosed):
+            fired = await order.done()
+        self._over(shot, fired)
+
+    def _over(self, shot: Shot, fired: Fired | None) -> None:
+        if not shot.fired.done():
+            shot.fired.set_result(fired)
+        if shot in self._shots:
+            self._shots.remove(shot)
+            self._advance()
+
+    def _advance(self) -> None:
+        """Send what the next start needs."""
+        if self._shots and self._shots[0].held:
+            first = self._shots[0]
+            frames = [first.held[node] for node in sorted(first.held)]
+            first.sent |= first.held.keys()
+            first.held.clear()
+            self._bus.send(*frames)
+
+    def _sweep(self) -> None:
+        """Forget those that nobody has released by their instant."""
+        now_ns = self._bus.clock.now_ns()
+        for shot in [each for each in self._shots if each.order is None and each.t0_ns < now_ns]:
+            self._over(shot, None)
