@@ -89,6 +89,33 @@ def test_the_demo_prints_one_object_with_every_step() -> None:
         assert step["planned_s"] == pytest.approx(step["actual_s"], abs=0.02)
 
 
+def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
+    """How well is a matter of this machine; that they do, and that the budget names everybody, is not."""
+    done = run_tutti("demo", "--fleet", "all", "--headless", "--json")
+    report = json.loads(done.stdout)
+    assert report["state"] == "done", report["reason"]
+    moves = [step for step in report["steps"] if step["do"] == "move"]
+    assert [step["state"] for step in moves] == ["done"] * 3
+    everybody = {"gantry", "feeder", "outlet", "stage", "table", "lift", "tilt"}
+    assert set(moves[0]["members"]) == set(moves[0]["budget"]["members"]) == everybody
+    assert moves[0]["budget"]["worst_member"] == "table"
+    by_line = {name: member["start_class"] for name, member in moves[2]["members"].items()}
+    assert by_line == {"gantry": "clock", "stage": "line", "lift": "line", "tilt": "line"}
+    assert len(report["truth"]) == 3
+
+
+def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFleet) -> None:
+    listed = json.loads(shared.tutti("clock", "ls", "--json").stdout)
+    assert listed["gantry"]["mapping"]["samples"] > 1
+    assert listed["stage"]["mapping"] is None
+    shown = shared.tutti("clock", "show", "gantry")
+    assert shown.returncode == 0 and "ppm" in shown.stdout and "guaranteed" in shown.stdout
+    unknown = shared.tutti("clock", "show", "portal")
+    assert unknown.returncode == 1 and "gantry" in unknown.stderr
+    unwired = shared.tutti("wiring", "check")
+    assert unwired.returncode == 1 and "wiring" in unwired.stderr
+
+
 @pytest.mark.parametrize(
     ("victim", "bound_s"),
     [
