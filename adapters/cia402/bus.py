@@ -120,11 +120,18 @@ class Bus:
                 elif not received.frame.extended and not received.frame.rtr:
                     self._take(received.frame, received.at_ns)
         except LinkClosed as error:
-            if self._can is can:
-                self._can = None
-                hearers, self._hearers = self._hearers, {}
-                for hearer in hearers.values():
-                    hearer.lost(error)
+            self._lost(can, error)
+        except ValueError as error:
+            # Frames can not be told from each other any more.
+            self._lost(can, LinkClosed(f"{can.place}: what comes is no CAN frames: {error}"))
+            await can.close()
+
+    def _lost(self, can: CanLink, error: LinkClosed) -> None:
+        if self._can is can:
+            self._can = None
+            hearers, self._hearers = self._hearers, {}
+            for hearer in hearers.values():
+                hearer.lost(error)
 
     def _take(self, frame: CanFrame, at_ns: int) -> None:
         hearer = self._hearers.get(frame.id & _NODE)

@@ -87,7 +87,7 @@ class CiaDriver(Driver):
         mover = self._mover = Mover(self._options, found, self._starts, self._setup.firer, power, self._settle_ns)
         hand = self._hand = Hand(self._config, self._options, found, power, lambda: mover.move is not None)
         mover.busy = lambda: hand.homing or hand.jogging
-        identity = await startup.identify(found)
+        identity = await startup.identify(found, self._options.boot_ms)
         self._stranger = await startup.take_over(found, self._starts, self._options, self._pdos)
         self._boots = found.boots
         return identity
@@ -117,19 +117,22 @@ class CiaDriver(Driver):
         )
 
     async def poll(self) -> Reading:
-        """What the drive has said by itself; it is asked nothing."""
+        """What the drive says by itself; it is asked nothing."""
         found = self._connected()
-        silent_ns = 3 * max(self._options.heartbeat_ms, self._options.state_ms) * NS_PER_MS
+        patience_ns = 3 * max(self._options.heartbeat_ms, self._options.state_ms) * NS_PER_MS
         if self._bus.off:
             raise bus_off(found.name)
         began_ns = self._clock.now_ns()
-        if began_ns - found.heard_ns > silent_ns and not await found.soon(lambda: found.heard_ns >= began_ns):
+        # What it said last is what holds now if it still speaks: it speaks at once when something changes.
+        if not await found.until(lambda: found.heard_ns > began_ns or self._bus.off, began_ns + patience_ns):
             raise DriverFault(
                 "no-answer",
                 f"{found.name} has been silent for {(self._clock.now_ns() - found.heard_ns) // NS_PER_MS} ms, its "
                 f"heartbeat comes every {self._options.heartbeat_ms} ms",
                 "check its power, the cable and both terminations",
             )
+        if self._bus.off:
+            raise bus_off(found.name)
         restarted, self._restarted = self._restarted, False
         if found.boots != self._boots:
             restarted = True
@@ -268,6 +271,13 @@ class CiaDriver(Driver):
         bit = point_bit(number)
         found.outputs = found.outputs | bit if on else found.outputs & ~bit
         found.order(found.control & ~states.NEW_SET_POINT)
+        held = await found.sdo.read(o.OUTPUTS)
+        if held != found.outputs:
+            raise DriverFault(
+                "not-switched",
+                f"{found.name} holds {held:#010x} in {o.OUTPUTS}, and was given {found.outputs:#010x}",
+                "has the drive this output? Is another master on the bus?",
+            )
 
     async def clear_faults(self) -> None:
         self._connected()

@@ -16,13 +16,16 @@ from adapters.cia402.sdo import SdoAborted
 from adapters.cia402.shape import WORD_MAX
 from adapters.cia402.states import State
 from adapters.contract import CannotDo, JogMove
-from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 
 _ROUNDING = 1e-9
 _LONGEST_NS = 2**62
 _SEEN_NS = 20 * NS_PER_MS
+_RETURN_NS = 60 * NS_PER_S  # a caller whose patience ends earlier cancels
+_AT_LIMITS = (1, 2, 17, 18)
+"""Methods whose reference is at the edge of a limit switch, or near it."""
 
 
 class Hand:
@@ -96,6 +99,7 @@ class Hand:
                 ) from None
         node.order(states.ENABLE, o.HOMING_MODE)
         if not await node.soon(lambda: node.mode == o.HOMING_MODE):
+            await node.look()
             raise CannotDo("wrong-mode", f"{node.name} does not go over to homing mode", "does it have it (6502h)?")
 
     async def _search(self, found: Callable[[str], None]) -> Mapping[str, CannotDo]:
@@ -119,10 +123,8 @@ class Hand:
             lambda: troubled() or attained() or bool(node.status & states.MODE_ERROR), node.clock.now_ns() + _LONGEST_NS
         )
         if not troubled() and attained():
-            node.order(states.ENABLE)
-            # The demand of the new origin comes with the next TPDO.
-            since_ns = node.clock.now_ns()
-            await node.soon(lambda: node.state_ns > since_ns)
+            await self._to_reference(stops)
+        if not troubled() and (node.demand == 0 or not self._returns):
             found(self._name)
             return {}
         if node.stops != stops:
@@ -134,10 +136,30 @@ class Hand:
         elif node.state is not State.ENABLED:
             why = f"it is {node.state.value}: {node.why()}"
         else:
-            why = "the drive says that its homing has failed"
+            why = "the drive says that its homing has failed, or does not come back to its reference"
             node.order(states.ENABLE)
         text = f"axis {self._name} has not found its reference: {why}"
         return {self._name: CannotDo("homing-failed", text, "look at its switches, and at `homing.method`")}
+
+    @property
+    def _returns(self) -> bool:
+        """Whether it is brought to its reference at last; one at the edge of a limit switch is left alone."""
+        return homing_method(self._axis) not in _AT_LIMITS
+
+    async def _to_reference(self, stops: int) -> None:
+        """The drive stops behind the edge that it has found, or the index: go back there."""
+        node = self._node
+        node.order(states.ENABLE)
+        # The demand from the new origin comes with the next TPDO.
+        since_ns = node.clock.now_ns()
+        await node.soon(lambda: node.state_ns > since_ns)
+        if node.demand and self._returns:
+            _, zero, ramp = homing_numbers(self._axis, self._options)
+            await self._go(0, zero, ramp, stops)
+            await node.until(
+                lambda: (not self.jogging and node.demand == 0) or node.stops != stops or not node.enabled,
+                node.clock.now_ns() + _RETURN_NS,
+            )
 
     # Jogs
 
@@ -168,20 +190,29 @@ class Hand:
                 f"axis {self._name} stands at {node.demand} counts; in this direction its way ends at {end}",
                 "jog it the other way",
             )
+        await self._go(end, velocity, ramp, stops)
+
+    async def _go(self, target: int, velocity: int, ramp: int, stops: int) -> None:
+        """Set a motion going, or change it at once; all in the drive's units. Raises `CannotDo`.
+
+        stops: how many had been given when it was asked for; one more, and it does not begin.
+        """
+        node = self._node
         if node.mode != o.PROFILE_POSITION_MODE or node.control & states.NEW_SET_POINT:
             node.order(states.ENABLE, o.PROFILE_POSITION_MODE)
             if not await node.soon(lambda: node.mode == o.PROFILE_POSITION_MODE):
+                await node.look()
                 raise CannotDo("wrong-mode", f"{node.name} does not go over to profile position mode", "see 6502h")
         if not await node.soon(lambda: not node.status & states.ACKNOWLEDGED) or node.stops != stops:
-            raise CannotDo("stopped", f"a stop came before axis {self._name} was jogged", "")
+            raise CannotDo("stopped", f"a stop came before axis {self._name} was set going", "")
         since_ns = node.clock.now_ns()
-        node.bus.send(*node.set_point(end, velocity, ramp, ramp))
+        node.bus.send(*node.set_point(target, velocity, ramp, ramp))
         node.order(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
         self._jog_stops, self._jog_ns = node.stops, since_ns
         taken = await node.soon(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)
         if node.stops != stops:
-            raise CannotDo("stopped", f"a stop came while axis {self._name} was being jogged", "")
+            raise CannotDo("stopped", f"a stop came while axis {self._name} was being set going", "")
         node.order(states.ENABLE)
         if not taken:
             self._power.stop(False)
-            raise CannotDo("not-taken", f"{node.name} has not taken the set-point of a jog", "look at its state")
+            raise CannotDo("not-taken", f"{node.name} has not taken a set-point", "look at its state")

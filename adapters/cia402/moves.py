@@ -97,6 +97,7 @@ class Mover:
             lambda: (node.mode == o.PROFILE_POSITION_MODE and not node.status & states.ACKNOWLEDGED) or not node.enabled
         )
         if not ready or not node.enabled:
+            await node.look()
             raise CannotDo(
                 "wrong-mode",
                 f"{node.name} does not go over to profile position mode; it shows mode {node.mode} and is "
@@ -125,6 +126,7 @@ class Mover:
     async def verify(self) -> None:
         """Still loaded, still where the plan starts. Raises `CannotDo`."""
         move, node = self._require(), self._node
+        await node.look()
         node.require_well()
         if node.boots != move.boots:
             raise CannotDo("not-loaded", f"{node.name} was switched off and on", "arm again")

@@ -154,6 +154,11 @@ class Node:
                 timer.cancel()
                 self._watchers.discard(watcher)
 
+    async def look(self) -> None:
+        """Ask for its statusword. Raises `DriverFault` when it does not answer."""
+        self.take_status(await self.sdo.read(STATUSWORD), self.clock.now_ns())
+        self._wake()
+
     async def soon(self, condition: Callable[[], bool]) -> bool:
         """`until` for what a drive does at once."""
         return await self.until(condition, self.clock.now_ns() + self.answer_ns)

@@ -40,6 +40,7 @@ class Options(BaseModel):
     state_ms: int = Field(default=50, ge=5, le=5000, description="How often the drive sends its state unasked.")
     inhibit_ms: int = Field(default=10, ge=1, le=1000, description="Least time between two of its positions.")
     answer_ms: int = Field(default=100, ge=10, le=60_000, description="How long an SDO answer may take.")
+    boot_ms: int = Field(default=1000, ge=0, le=60_000, description="How long after power-up it does not answer yet.")
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the drive's crystal.")
     fire_early_us: Micro = Field(default=0, description="How much too early the SYNC may be written.")
     fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")

@@ -32,12 +32,13 @@ class Power:
         self._stopping: set[asyncio.Task[None]] = set()
 
     async def switch(self, on: bool) -> None:
-        """Enable or disable. Raises `CannotDo`."""
+        """Enable or disable. Raises `CannotDo`, `DriverFault`."""
         await self.stopped()
         node = self._node
         if not on:
             node.order(states.DISABLE_VOLTAGE)
             if not await node.soon(lambda: node.state in (State.DISABLED, State.NOT_READY, State.FAULT)):
+                await node.look()
                 raise self._stuck("disable")
             return
         node.require_well()
@@ -66,6 +67,7 @@ class Power:
             if not await node.soon(lambda before=before: node.state is not before):
                 break
         if node.state is not State.ENABLED:
+            await node.look()
             raise self._stuck("enable")
 
     def _stuck(self, what: str) -> CannotDo:

@@ -26,9 +26,16 @@ _TRAPEZOID = 0
 _STILL_NS = 60 * NS_PER_MS
 
 
-async def identify(node: Node) -> Identity:
-    """Raises `DriverFault`."""
-    device = await node.sdo.read(o.DEVICE_TYPE)
+async def identify(node: Node, boot_ms: int) -> Identity:
+    """boot_ms: how long it may be silent, because it has just been switched on. Raises `DriverFault`."""
+    until_ns = node.clock.now_ns() + boot_ms * NS_PER_MS
+    while True:
+        try:
+            device = await node.sdo.read(o.DEVICE_TYPE)
+            break
+        except DriverFault as error:
+            if error.fault.code != "no-answer" or node.clock.now_ns() >= until_ns:
+                raise
     if device & 0xFFFF != _DRIVE_PROFILE:
         raise DriverFault(
             "wrong-make",

@@ -13,7 +13,7 @@ from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.link.memory import LAN, MemoryWire, serial_wire
+from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -89,6 +89,9 @@ PULSES = {
 }
 ORG = {"axes": 2, "hardware": ["io_port"], "org_steps": {"1": [-9000, -2000], "2": [-9000, -1500]}}
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
+CAN = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "unit": 3}
+DRIVE = {**SERVO, "homing": {"method": "home_switch_negative"}}
+SWITCH = {"home_switch": [-3000, -2000]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
     "smc4000 on UDP": case(
@@ -154,6 +157,8 @@ CASES = {
         decode_spread_us=250,
         io_port=True,
     ),
+    "cia402 alone": case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can"),
+    "cia402, four on one bus": replace(case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can"), beside=(1, 2, 120)),
 }
 
 
@@ -267,7 +272,7 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
         config, draw = chosen.controller, Random(seed)
         make = find_make(config.adapter)
         make.check(config)
-        own = config.link.unit if config.link.kind == "serial" else None
+        own = config.link.unit if config.link.kind in ("serial", "can") else None
 
         def branch(address: int | None) -> Branch:
             oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
@@ -279,6 +284,8 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
         line = build_line(simulator(config.adapter), clock, {name: branch(a) for name, a in in_order.items()})
         controller = line.units["it"]
         model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
+        if config.link.kind == "can":
+            model = can_wire()
         if config.link.kind == "tcp" and chosen.port == "serial":
             # A bridge hands bytes on as quickly as its serial side takes them.
             model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
