@@ -58,7 +58,8 @@ class Works:
 class Outcome:
     """How a job came to its end.
 
-    begun: False when its axes were taken, or the journal could not be written, before it could begin: it waits on.
+    begun: False when its axes were taken, or the journal could not be written (trouble), before it could begin: then it
+    waits on.
     """
 
     state: JobState
@@ -66,6 +67,7 @@ class Outcome:
     actor: str
     report: JobReport
     begun: bool = True
+    trouble: bool = False
 
 
 class JobRun:
@@ -159,17 +161,23 @@ class JobRun:
 
     async def run(self) -> Outcome:
         """Run all steps; raises nothing."""
-        works = self._works
         beat = asyncio.get_running_loop().create_task(self._beat())
         try:
-            return await self._run()
+            outcome = await self._run()
         finally:
             self._over = True
             beat.cancel()
-            try:
-                await self._disable_by_policy()
-            finally:
-                await works.leases.give_back(self.row.id)
+        await self._disable_by_policy()
+        await self._works.leases.give_back(self.row.id)
+        return outcome
+
+    def broken_off(self, error: BaseException | None) -> Outcome:
+        """How a run ended that could not say it itself: with an error, or cancelled at an unlucky moment."""
+        ended = self._interrupt or Interrupted("interrupted", "the coordinator ended", "coordinator")
+        if error is not None:
+            ended = Interrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
+        report = self._report.model_copy(update={"steps": self._reports})
+        return Outcome(ended.state, ended.reason, ended.actor, report)
 
     async def _run(self) -> Outcome:
         works = self._works
@@ -203,7 +211,7 @@ class JobRun:
             state, reason = "failed", f"not begun: {error.refusal.text}; {error.refusal.remedy}".rstrip("; ")
         except JournalError as error:
             if not self._noted:
-                return Outcome("queued", str(error), actor, self._report, begun=False)
+                return Outcome("queued", str(error), actor, self._report, begun=False, trouble=True)
             state, reason = "failed", str(error)
             await works.motion.stop(self.members, "decelerate", "coordinator", reason)
         except Exception as error:

@@ -191,12 +191,13 @@ class Journal:
             if report is not None:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
 
-    def hold(self, job_id: str, held_by: str, transition: Transition) -> None:
-        """Note who holds a job; nobody: empty. Does nothing to one that is not queued any more."""
+    def hold(self, job_ids: Iterable[str], held_by: str, transition: Transition) -> None:
+        """Note who holds jobs; nobody: empty. Does nothing to those that are not queued any more."""
         with self._transaction():
-            if self._is_queued(job_id):
-                self._db.execute("UPDATE jobs SET held_by = ? WHERE id = ?", (held_by, job_id))
-                self._note(job_id, transition)
+            for job_id in job_ids:
+                if self._is_queued(job_id):
+                    self._db.execute("UPDATE jobs SET held_by = ? WHERE id = ?", (held_by, job_id))
+                    self._note(job_id, transition)
 
     def come_due(self, job_id: str, transition: Transition) -> None:
         """Note that the time of a job has come. Does nothing to one that is not queued any more."""

@@ -42,6 +42,11 @@ class Waiting:
         return "" if self.row.due else f"begins at {self.row.at_utc}"
 
 
+def in_order(waiting: Mapping[str, Waiting]) -> list[Waiting]:
+    """The queue, the first one first."""
+    return sorted(waiting.values(), key=lambda each: each.order)
+
+
 @dataclass(frozen=True, slots=True)
 class Choice:
     """What may begin now, and for what each of the others waits."""

@@ -4,28 +4,30 @@ Which of the waiting ones begin is decided in `queue`, how one runs in `job_run`
 """
 
 import asyncio
-from collections.abc import Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from datetime import timedelta
-from typing import Any
+from typing import Any, ParamSpec
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import Declared, Priority, Sample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.coordinator.board import Board, queued_progress
 from orchestrator.coordinator.job_run import Interrupted, JobRun, Outcome, Works
 from orchestrator.coordinator.journal import JobRow, JournalError
-from orchestrator.coordinator.queue import Choice, Waiting, choose, needs_of, steps_to_run
+from orchestrator.coordinator.queue import Choice, Waiting, choose, in_order, needs_of, steps_to_run
 from orchestrator.model.base import UnknownName
 from orchestrator.model.fleet import by_controller
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Estop, Refusal
 from orchestrator.model.queue import parse_utc
-from orchestrator.model.report import ENDED, JobReport, JobState, Progress, QueueEntry, QueueState
+from orchestrator.model.report import ENDED, JobReport, JobState, QueueEntry
 
-SHOWN = 200  # entries of the queue on the bus: what is behind them waits for long
-QUIET_NS = 50 * NS_PER_MS  # between two puts of the queue, however fast jobs come
+P = ParamSpec("P")
+
 TICK_NS = NS_PER_S  # how often the wall clock is looked at while a job waits for a time: it may be set
 LATE = timedelta(seconds=10)  # a coordinator that is back within that has not missed a job's time
+CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be noted
 AGAIN_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
 
 
@@ -37,13 +39,11 @@ class Runner:
         self._waiting: dict[str, Waiting] = {}
         self._needs: dict[str, frozenset[str]] = {}
         self._running: dict[str, JobRun] = {}
-        self._reasons: dict[str, str] = {}
-        self._told: dict[str, str] = {}
-        self._trouble = ""
+        self._board = Board(works, self._waiting, self._running)
+        self._trouble = False
         self._wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
-        self._announcing = self._changed_since = False
         self._timed = asyncio.Event()
         self._arranging = asyncio.Lock()
         works.leases.listen(lambda _: self.wake())
@@ -61,14 +61,14 @@ class Runner:
                 left.append((row, job))
         for row, job in left:
             reason = f"the coordinator ended while the job was {row.state}"
-            await self._end(row, self._report_of(row, job), "interrupted", reason, "coordinator")
+            await self._end(row, job, self._report_of(row, job), "interrupted", reason, "coordinator")
         for waiting in list(self._waiting.values()):
             await self._settle_after(waiting)
         self._declared.append(await works.bus.subscribe(works.keys.estop, self._hear_estop))
-        self._spawn(self._loop())
-        self._spawn(self._watch_times())
+        self._spawn(self._loop)
+        self._spawn(self._watch_times)
         self.wake()
-        self.announce()
+        self._board.announce()
 
     async def close(self, reason: str) -> None:
         """End: running jobs are stopped and noted as interrupted."""
@@ -78,10 +78,12 @@ class Runner:
         await self.interrupt(Interrupted("interrupted", reason, "coordinator"))
         ends = [run.task for run in runs if run.task is not None]
         if ends:
-            await asyncio.wait(ends, timeout=5.0)
-            # The ends of jobs are journalled by tasks of ours.
-            while any(run.row.id in self._running for run in runs):
+            await asyncio.wait(ends, timeout=CLOSE_S)
+            # Their ends are noted by tasks of ours.
+            until_ns = self._works.clock.now_ns() + round(CLOSE_S * NS_PER_S)
+            while self._running and self._works.clock.now_ns() < until_ns:
                 await sleep_ns(self._works.clock, NS_PER_MS)
+        self._board.close()
         for task in self._tasks:
             task.cancel()
 
@@ -97,7 +99,7 @@ class Runner:
         await self._settle_after(waiting)
         self._timed.set()
         self.wake()
-        self.announce()
+        self._board.announce()
 
     async def cancel(self, job_id: str, actor: str) -> Refusal | None:
         """Cancel a queued or running job."""
@@ -108,12 +110,7 @@ class Runner:
         waiting = self._waiting.pop(job_id, None)
         if waiting is None:
             return await self._refusal(job_id, "not-queued", "try again in a moment")
-        report = self._report_of(waiting.row, waiting.job)
-        try:
-            await self._end(waiting.row, report, "cancelled", f"cancelled by {actor}", actor)
-        except JournalError:
-            self._waiting[job_id] = waiting
-            raise
+        await self._cancel_waiting(waiting, f"cancelled by {actor}", actor)
         self.wake()
         return None
 
@@ -123,7 +120,7 @@ class Runner:
         for job_id in queued:
             self._held_now(job_id, interrupt.actor)
         await self.interrupt(interrupt, mode)
-        await self._note_all_held(queued, interrupt.actor, f"held: {interrupt.reason}")
+        await self._note_held(queued, interrupt.actor, f"held: {interrupt.reason}")
 
     async def interrupt(self, interrupt: Interrupted, mode: str = "decelerate") -> None:
         """Stop all jobs that run, and end them."""
@@ -136,7 +133,7 @@ class Runner:
                 return await self._refusal(job_id, "not-queued", "pause it: `tutti job pause`")
             if not self._waiting[job_id].row.held_by:
                 self._held_now(job_id, actor)
-                await self._note_held(job_id, actor, f"held by {actor}")
+                await self._note_held([job_id], actor, f"held by {actor}")
         return None
 
     async def release(self, job_ids: Iterable[str], actor: str) -> Refusal | None:
@@ -148,7 +145,7 @@ class Runner:
             if waiting.row.held_by:
                 works = self._works
                 change = works.transition("queued", f"released by {actor}", actor)
-                await works.runs(works.journal.hold, job_id, "", change)
+                await works.runs(works.journal.hold, [job_id], "", change)
                 waiting.row = waiting.row._replace(held_by="", reason=change.reason)
                 self.wake()
         return None
@@ -162,7 +159,7 @@ class Runner:
             return Refusal(code="same-job", text=f"job {job_id} can not stand before itself", remedy="name another")
         async with self._arranging:
             mine, other = self._waiting[job_id], self._waiting[before]
-            order = [each for each in self._in_order() if each is not mine]
+            order = [each for each in in_order(self._waiting) if each is not mine]
             order.insert(order.index(other), mine)
             ranks = sorted(each.row.place for each in order)
             places = {each.row.id: rank for each, rank in zip(order, ranks, strict=True) if each.row.place != rank}
@@ -173,7 +170,7 @@ class Runner:
                 each.row = each.row._replace(place=places.get(each.row.id, each.row.place))
             mine.row = mine.row._replace(priority=priority, reason=change.reason)
         self.wake()
-        self.announce()
+        self._board.announce()
         return None
 
     async def pause(self, job_id: str, actor: str) -> Refusal | None:
@@ -216,15 +213,15 @@ class Runner:
             self._wake.clear()
             if self._trouble:
                 await sleep_ns(works.clock, AGAIN_NS)
-                self._trouble = ""
+                self._trouble = False
                 self._wake.set()
             choice = self._choose()
             for each in choice.begin:
                 self._begin(each)
-            self._reasons = choice.reasons
-            self._tell()
+            self._board.reasons = choice.reasons
+            self._board.tell()
             if choice.begin:
-                self.announce()
+                self._board.announce()
 
     def _choose(self) -> Choice:
         busy = {controller: run.words for run in self._running.values() for controller in run.needs}
@@ -232,10 +229,7 @@ class Runner:
             if held.holder not in self._running:
                 for controller in by_controller(held.axes):
                     busy.setdefault(controller, f"in use by {held.actor} ({held.what})")
-        return choose(((each, self._needs_of(each)) for each in self._in_order()), busy)
-
-    def _in_order(self) -> list[Waiting]:
-        return sorted(self._waiting.values(), key=lambda each: each.order)
+        return choose(((each, self._needs_of(each)) for each in in_order(self._waiting)), busy)
 
     def _needs_of(self, waiting: Waiting) -> frozenset[str]:
         """Kept, because the queue may be long; what the fleet file does not have any more is refused at the start."""
@@ -258,37 +252,48 @@ class Runner:
     def _begin(self, waiting: Waiting) -> None:
         row = waiting.row
         del self._waiting[row.id]
-        self._told.pop(row.id, None)
         run = self._running[row.id] = JobRun(self._works, row, waiting.job, self._report_of(row, waiting.job))
         run.needs = self._needs.pop(row.id)
         run.task = asyncio.get_running_loop().create_task(run.run())
-        self._spawn(self._finish(run, waiting))
+        self._spawn(self._finish, run, waiting)
 
     async def _finish(self, run: JobRun, waiting: Waiting) -> None:
         """Wait for a job's end and note it."""
         assert run.task is not None
         await asyncio.wait([run.task])
-        outcome = run.task.result() if not run.task.cancelled() else None
-        if outcome is None:
-            outcome = Outcome("interrupted", "the coordinator ended", "coordinator", self._report_of(run.row, run.job))
-        if not outcome.begun:
-            self._waiting[run.row.id] = waiting
-            del self._running[run.row.id]
-            self._works.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
+        error = None if run.task.cancelled() else run.task.exception()
+        if run.task.cancelled() or error is not None:
+            outcome = run.broken_off(error)
+            await self._works.leases.give_back(run.row.id)
         else:
-            try:
-                await self._end(run.row, outcome.report, outcome.state, outcome.reason, outcome.actor)
-            except JournalError as error:
-                self._works.log.warning(f"the end of a job is not in the journal: {error}", job=run.row.id)
-                self._trouble = str(error)
-            del self._running[run.row.id]
+            outcome = run.task.result()
+        if outcome.begun:
+            await self._note_end(run, outcome)
+        else:
+            self._waiting[run.row.id] = waiting
+            self._trouble = self._trouble or outcome.trouble
+            self._works.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
+        del self._running[run.row.id]
+        if not outcome.begun:
+            self._board.reasons[run.row.id] = outcome.reason
+            self._board.tell()
         self.wake()
-        self.announce()
+        self._board.announce()
+
+    async def _note_end(self, run: JobRun, outcome: Outcome) -> None:
+        """Note an end as soon as the journal can be written. Nothing else begins on its controllers before that."""
+        while True:
+            try:
+                await self._end(run.row, run.job, outcome.report, outcome.state, outcome.reason, outcome.actor)
+                return
+            except JournalError as error:
+                self._works.log.warning(f"the end of a job can not be noted yet: {error}", job=run.row.id)
+                await sleep_ns(self._works.clock, AGAIN_NS)
 
     # Ends
 
-    async def _end(self, row: JobRow, report: JobReport, state: JobState, reason: str, actor: str) -> None:
-        """Note the end of a job, and say it. Raises `JournalError`."""
+    async def _end(self, row: JobRow, job: Job, report: JobReport, state: JobState, reason: str, actor: str) -> None:
+        """Note the end of a job, and say it. Raises `JournalError`; then nothing is noted, and nothing said."""
         works = self._works
         transition = works.transition(state, reason, actor)
         before = await works.runs(works.journal.transitions, row.id)
@@ -297,23 +302,31 @@ class Runner:
         )
         await works.runs(works.journal.change, row.id, transition, report)
         self._needs.pop(row.id, None)
-        self._told.pop(row.id, None)
         works.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
         works.bus.put(works.keys.job_report(row.id), report.to_json(), Priority.EVENT)
-        job = await works.runs(works.journal.job, row.id)
-        steps = len(job.steps) * row.repeat if job else 0
+        steps = len(job.steps) * row.repeat
         done = len([step for step in report.steps if step.state == "done"])
-        progress = _progress(row, state, reason, transition.utc, steps).model_copy(
+        progress = queued_progress(row, state, reason, transition.utc, steps).model_copy(
             update={
                 "step": row.from_step + max(0, len(report.steps) - 1),
-                "fraction": min(1.0, (row.from_step + done) / steps) if steps else 1.0,
+                "fraction": min(1.0, (row.from_step + done) / steps),
                 "remaining_s": 0.0,
             }
         )
         works.bus.put(works.keys.job_state(row.id), progress.to_json(), Priority.EVENT)
-        for waiting in [each for each in self._waiting.values() if each.pending == row.id]:
-            await self._settle_after(waiting)
-        self.announce()
+        self._spawn(self._settle_followers, row.id)
+        self._board.announce()
+
+    async def _settle_followers(self, job_id: str) -> None:
+        """Free, or end, those that come after a job that has ended."""
+        for waiting in [each for each in self._waiting.values() if each.pending == job_id]:
+            while True:
+                try:
+                    await self._settle_after(waiting)
+                    break
+                except JournalError as error:
+                    self._works.log.warning(f"job has to wait: {error}", job=waiting.row.id)
+                    await sleep_ns(self._works.clock, AGAIN_NS)
 
     async def _settle_after(self, waiting: Waiting) -> None:
         """Free a job of the one that it comes after, or end it, if that one has ended."""
@@ -323,15 +336,23 @@ class Runner:
         row = await works.runs(works.journal.row, before)
         if row is not None and row.state not in ENDED:
             return
-        waiting.pending = None
         if row is not None and row.state == "done":
+            waiting.pending = None
             self.wake()
             return
         if self._waiting.pop(waiting.row.id, None) is None:
             return
         found = f"is {row.state}: {row.reason}" if row is not None else "is not in the journal any more"
-        reason = f"job {before}, which must be done before, {found}"
-        await self._end(waiting.row, self._report_of(waiting.row, waiting.job), "cancelled", reason, "coordinator")
+        await self._cancel_waiting(waiting, f"job {before}, which must be done before, {found}", "coordinator")
+
+    async def _cancel_waiting(self, waiting: Waiting, reason: str, actor: str) -> None:
+        """End a job that has been taken out of the queue; it is back there if that can not be noted."""
+        report = self._report_of(waiting.row, waiting.job)
+        try:
+            await self._end(waiting.row, waiting.job, report, "cancelled", reason, actor)
+        except JournalError:
+            self._waiting[waiting.row.id] = waiting
+            raise
 
     def _report_of(self, row: JobRow, job: Job) -> JobReport:
         return JobReport(
@@ -361,7 +382,11 @@ class Runner:
                     continue
                 at = parse_utc(each.row.at_utc)
                 if at <= now:
-                    await self._come_due(each, now - at)
+                    try:
+                        await self._come_due(each, now - at)
+                    except JournalError as error:
+                        works.log.warning(f"job has to wait: {error}", job=each.row.id)
+                        left = min(left, timedelta(seconds=AGAIN_NS / NS_PER_S))
                 else:
                     left = min(left, at - now)
             if left == timedelta.max:
@@ -374,8 +399,7 @@ class Runner:
         works, row = self._works, waiting.row
         if late > LATE and row.missed == "skip":
             if self._waiting.pop(row.id, None) is not None:
-                reason = f"missed: no coordinator was there at {row.at_utc}"
-                await self._end(row, self._report_of(row, waiting.job), "cancelled", reason, "coordinator")
+                await self._cancel_waiting(waiting, f"missed: no coordinator was there at {row.at_utc}", "coordinator")
             return
         reason = f"{row.at_utc} has come" if late <= LATE else f"begins late: no coordinator was there at {row.at_utc}"
         change = works.transition("queued", reason, "coordinator")
@@ -389,10 +413,11 @@ class Runner:
         waiting = self._waiting[job_id]
         waiting.row = waiting.row._replace(held_by=actor)
 
-    async def _note_held(self, job_id: str, actor: str, reason: str) -> None:
+    async def _note_held(self, job_ids: list[str], actor: str, reason: str) -> None:
         works = self._works
-        await works.runs(works.journal.hold, job_id, actor, works.transition("queued", reason, actor))
-        self.wake()
+        if job_ids:
+            await works.runs(works.journal.hold, job_ids, actor, works.transition("queued", reason, actor))
+            self.wake()
 
     def _hear_estop(self, sample: Sample) -> None:
         """Nothing begins by itself after an e-stop, when it is reset: neither jobs nor steps."""
@@ -407,94 +432,25 @@ class Runner:
         queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
         for job_id in queued:
             self._held_now(job_id, actor)
-        self._spawn(self._note_all_held(queued, actor, f"held: {reason}"))
-
-    async def _note_all_held(self, job_ids: list[str], actor: str, reason: str) -> None:
-        for job_id in job_ids:
-            await self._note_held(job_id, actor, reason)
-
-    # What the bus shows
+        self._spawn(self._note_held, queued, actor, f"held: {reason}")
 
     def entries(self, rows: Iterable[JobRow]) -> list[QueueEntry]:
-        """Jobs as a list shows them: with what only the present coordinator knows of those that wait."""
-        places = {each.row.id: place for place, each in enumerate(self._in_order(), 1)}
-        return [self._entry(row, places.get(row.id)) for row in rows]
+        """Jobs as a list shows them."""
+        return self._board.entries(rows)
 
     def entry(self, row: JobRow) -> QueueEntry:
         """A job as a list shows it."""
-        waiting = self._waiting.get(row.id)
-        if waiting is None:
-            return self._entry(row, None)
-        return self._entry(row, 1 + sum(each.order < waiting.order for each in self._waiting.values()))
+        return self._board.entry(row)
 
-    def _entry(self, row: JobRow, place: int | None) -> QueueEntry:
-        run, waiting = self._running.get(row.id), self._waiting.get(row.id)
-        if waiting is not None:
-            row = waiting.row
-        return QueueEntry(
-            id=row.id,
-            name=row.name,
-            actor=row.actor,
-            state=run.state if run is not None and row.state not in ENDED else row.state,
-            reason=row.reason if waiting is None else self._reasons.get(row.id, row.reason),
-            submitted_utc=row.submitted_utc,
-            place=place,
-            terms=row.terms,
-            held_by=row.held_by,
-            origin=row.origin,
-            from_step=row.from_step,
-        )
+    # Inside
 
-    def announce(self) -> None:
-        """Put the queue on the bus, soon: at once after a quiet time, else when one has passed."""
-        if self._announcing:
-            self._changed_since = True
-            return
-        self._announcing = True
-        self._spawn(self._announce())
+    def _spawn(self, function: Callable[P, Coroutine[Any, Any, None]], *values: P.args, **names: P.kwargs) -> None:
+        async def work() -> None:
+            try:
+                await function(*values, **names)
+            except JournalError as error:
+                self._works.log.warning(str(error))
 
-    async def _announce(self) -> None:
-        # The loop decides first what becomes of a job that has just come.
-        await sleep_ns(self._works.clock, NS_PER_MS)
-        order = self._in_order()[:SHOWN]
-        rows = [run.row for run in self._running.values()] + [each.row for each in order]
-        total = len(self._running) + len(self._waiting)
-        state = QueueState(total=total, jobs=self.entries(rows[:SHOWN]))
-        self._works.bus.put(self._works.keys.queue, state.to_json(), Priority.EVENT)
-        await sleep_ns(self._works.clock, QUIET_NS)
-        self._announcing = False
-        if self._changed_since:
-            self._changed_since = False
-            self.announce()
-
-    def _tell(self) -> None:
-        """Say of each job that waits, and is shown, for what, if that has changed."""
-        for each in self._in_order()[:SHOWN]:
-            row, reason = each.row, self._reasons.get(each.row.id, "")
-            if reason and self._told.get(row.id) != reason:
-                self._told[row.id] = reason
-                steps = len(each.job.steps) * row.repeat
-                progress = _progress(row, "queued", reason, self._works.clock.utc(), steps)
-                self._works.bus.put(self._works.keys.job_state(row.id), progress.to_json(), Priority.STATE)
-
-    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(coroutine)
+        task = asyncio.get_running_loop().create_task(work())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-
-
-def _progress(row: JobRow, state: JobState, reason: str, utc: str, steps: int) -> Progress:
-    """A job that does not run, as it stands."""
-    return Progress(
-        job_id=row.id,
-        name=row.name,
-        actor=row.actor,
-        state=state,
-        step=row.from_step,
-        steps=steps,
-        step_name="",
-        fraction=row.from_step / steps if steps else 0.0,
-        remaining_s=None,
-        reason=reason,
-        utc=utc,
-    )

@@ -1,0 +1,108 @@
+"""What the bus shows of the queue: lists of jobs, and for what each one waits."""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+
+from orchestrator.bus.base import Priority
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.coordinator.job_run import JobRun, Works
+from orchestrator.coordinator.journal import JobRow
+from orchestrator.coordinator.queue import Waiting, in_order
+from orchestrator.model.report import ENDED, JobState, Progress, QueueEntry, QueueState
+
+SHOWN = 200  # entries of the queue on the bus: what is behind them waits for long
+SOON_NS = NS_PER_MS  # first it is decided what becomes of a job that has just come
+QUIET_NS = 50 * NS_PER_MS  # between two puts of the queue, however fast jobs come
+
+
+class Board:
+    """Shows the jobs that wait and run. reasons: for what those that wait do so, by id, as was decided last."""
+
+    def __init__(self, works: Works, waiting: Mapping[str, Waiting], running: Mapping[str, JobRun]) -> None:
+        self.reasons: dict[str, str] = {}
+        self._works = works
+        self._waiting = waiting
+        self._running = running
+        self._told: dict[str, str] = {}
+        self._changed = False
+        self._announcing: asyncio.Task[None] | None = None
+
+    def close(self) -> None:
+        if self._announcing is not None:
+            self._announcing.cancel()
+
+    def entries(self, rows: Iterable[JobRow]) -> list[QueueEntry]:
+        """Jobs as a list shows them: with what only the present coordinator knows of those that wait."""
+        places = {each.row.id: place for place, each in enumerate(in_order(self._waiting), 1)}
+        return [self._entry(row, places.get(row.id)) for row in rows]
+
+    def entry(self, row: JobRow) -> QueueEntry:
+        """A job as a list shows it."""
+        waiting = self._waiting.get(row.id)
+        if waiting is None:
+            return self._entry(row, None)
+        return self._entry(row, 1 + sum(each.order < waiting.order for each in self._waiting.values()))
+
+    def _entry(self, row: JobRow, place: int | None) -> QueueEntry:
+        run, waiting = self._running.get(row.id), self._waiting.get(row.id)
+        if waiting is not None:
+            row = waiting.row
+        return QueueEntry(
+            id=row.id,
+            name=row.name,
+            actor=row.actor,
+            state=run.state if run is not None and row.state not in ENDED else row.state,
+            reason=row.reason if waiting is None else self.reasons.get(row.id, row.reason),
+            submitted_utc=row.submitted_utc,
+            place=place,
+            terms=row.terms,
+            held_by=row.held_by,
+            origin=row.origin,
+            from_step=row.from_step,
+        )
+
+    def announce(self) -> None:
+        """Put the queue on the bus: soon after a quiet time, else when one has passed."""
+        self._changed = True
+        if self._announcing is None or self._announcing.done():
+            self._announcing = asyncio.get_running_loop().create_task(self._announce())
+
+    async def _announce(self) -> None:
+        await sleep_ns(self._works.clock, SOON_NS)
+        while self._changed:
+            self._changed = False
+            rows = [run.row for run in self._running.values()]
+            rows += [each.row for each in in_order(self._waiting)[:SHOWN]]
+            total = len(self._running) + len(self._waiting)
+            state = QueueState(total=total, jobs=self.entries(rows[:SHOWN]))
+            self._works.bus.put(self._works.keys.queue, state.to_json(), Priority.EVENT)
+            await sleep_ns(self._works.clock, QUIET_NS)
+
+    def tell(self) -> None:
+        """Say of each job that waits, and is shown, for what, if that has changed."""
+        told: dict[str, str] = {}
+        for each in in_order(self._waiting)[:SHOWN]:
+            row = each.row
+            reason = told[row.id] = self.reasons.get(row.id, row.reason)
+            if self._told.get(row.id) != reason:
+                steps = len(each.job.steps) * row.repeat
+                progress = queued_progress(row, "queued", reason, self._works.clock.utc(), steps)
+                self._works.bus.put(self._works.keys.job_state(row.id), progress.to_json(), Priority.STATE)
+        self._told = told
+
+
+def queued_progress(row: JobRow, state: JobState, reason: str, utc: str, steps: int) -> Progress:
+    """A job that does not run, as it stands."""
+    return Progress(
+        job_id=row.id,
+        name=row.name,
+        actor=row.actor,
+        state=state,
+        step=row.from_step,
+        steps=steps,
+        step_name="",
+        fraction=row.from_step / steps,
+        remaining_s=None,
+        reason=reason,
+        utc=utc,
+    )

@@ -1,0 +1,162 @@
+"""Jobs with a time, and what stands in the queue when a coordinator starts anew."""
+
+import asyncio
+from datetime import timedelta
+
+import pytest
+from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
+
+from orchestrator.client.api import Refused, Tutti
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Permit
+from orchestrator.model.queue import Terms, format_utc, parse_utc
+from orchestrator.model.report import Lease, QueueEntry
+
+SHORT = job("[{do: move, by: {gantry.y: 1}}]")
+LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
+
+
+async def entry(client: Tutti, job_id: str) -> QueueEntry:
+    found = (await client.show(job_id)).entry
+    assert found is not None
+    return found
+
+
+def soon(fleet: VirtualFleet, seconds: float) -> str:
+    return format_utc(parse_utc(fleet.clock.utc()) + timedelta(seconds=seconds))
+
+
+async def restart(fleet: VirtualFleet, name: str, away_s: float) -> None:
+    """The coordinator dies; another one comes after a while."""
+    fleet.kill("coordinator/first")
+    await asyncio.sleep(away_s)
+    fleet.start_coordinator(name)
+    await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+    await asyncio.sleep(3.0)
+
+
+def test_a_job_begins_at_its_time() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        at = soon(fleet, 30)
+        local = parse_utc(at).astimezone().isoformat()
+        waits = await client.enqueue(SHORT, terms=Terms(at=local, priority=9))
+        assert (waits.terms.at, waits.reason) == (at, "submitted")
+        # It is in nobody's way until then.
+        assert (await outcome(fleet, SHORT)).state == "done"
+        assert (await entry(client, waits.id)).reason == f"begins at {at}"
+        report = await client.wait(waits.id)
+        assert report.state == "done"
+        assert report.started_utc is not None
+        assert timedelta() <= parse_utc(report.started_utc) - parse_utc(at) < timedelta(milliseconds=50)
+        assert [each.reason for each in report.transitions[:2]] == ["submitted", f"{at} has come"]
+
+    run_fleet(main)
+
+
+def test_a_time_that_is_past_or_that_nobody_can_tell_is_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        with pytest.raises(Refused, match="is past; it is") as caught:
+            await client.submit(SHORT, terms=Terms(at=soon(fleet, -60)))
+        assert caught.value.refusal.code == "past"
+        report = await client.wait(await client.submit(SHORT, terms=Terms(at=soon(fleet, -60), missed="run")))
+        assert report.transitions[1].reason.startswith("begins late")
+        # A repeated request has its answer, however late it is.
+        first = await client.submit(SHORT, "key", Terms(at=soon(fleet, 1)))
+        await asyncio.sleep(60)
+        assert await client.submit(SHORT, "key", Terms(at=soon(fleet, -59))) == first
+        for text in ("2026-11-21T22:00:00", "at noon", "0001-01-01T00:00:00+14:00"):
+            with pytest.raises(ValueError, match=r"offset|RFC 3339|calendar"):
+                Terms(at=text)
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize(
+    ("away_s", "missed", "state"), [(60, "skip", "cancelled"), (60, "run", "done"), (3, "skip", "done")]
+)
+def test_a_time_that_comes_while_nobody_reigns(away_s: float, missed: str, state: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        terms = Terms.model_validate({"at": soon(fleet, 2), "missed": missed})
+        waits = await client.submit(SHORT, terms=terms)
+        await restart(fleet, "second", away_s)
+        report = await client.wait(waits)
+        assert report.state == state, report.reason
+        if state == "cancelled":
+            assert report.reason == f"missed: no coordinator was there at {terms.at}"
+
+    run_fleet(main)
+
+
+def test_the_queue_outlives_the_coordinator() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        running = await client.submit(LONG)
+        a, b, c = [await client.submit(SHORT, terms=terms) for terms in (Terms(), Terms(), Terms(held=True))]
+        then = await client.submit(SHORT, terms=Terms(after=running))
+        await client.move(b, before=a)
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await restart(fleet, "second", 2)
+        assert (await client.wait(running)).state == "interrupted"
+        assert (await client.wait(then)).reason.startswith(f"job {running}, which must be done before, is interrupted")
+        reports = [await client.wait(each) for each in (b, a)]
+        assert [each.state for each in reports] == ["done", "done"]
+        assert (reports[0].started_utc or "") < (reports[1].started_utc or "")
+        assert (await entry(client, c)).held_by == "anna"
+        # What has moved once does not move again.
+        assert [each.state for each in reports[0].transitions].count("committed") == 1
+
+    run_fleet(main)
+
+
+def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> None:
+    closed = Permit(input="gantry.door", value=False)
+    guarded = changed(demo_fleet()).model_copy(update={"permits": {"door-closed": closed}})
+
+    async def main(fleet: VirtualFleet) -> None:
+        anna, ben = fleet.client("anna"), fleet.client("ben")
+        await outcome(fleet, PREPARE)
+        taken, holder = await anna.reserve(["gantry.x"], 3600, "new belt")
+        assert taken == ["gantry.x", "gantry.y"]
+        waiting = await ben.submit(SHORT)
+        # Who works at the machine opens the door, and closes it again.
+        for level in (False, True):
+            fleet.within("gantry", lambda gantry, level=level: gantry.set_input(1, level))
+            await asyncio.sleep(2.0)
+        assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (new belt)"
+        assert not (await ben.status())["gantry"].leases
+        await restart(fleet, "second", 2)
+        assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (new belt)"
+        assert [(each.controller, each.actor) for each in await ben.leases() if each.holder] == [("gantry", "anna")]
+        with pytest.raises(Refused, match="is in use by anna"):
+            await ben.reserve(["gantry"], 60)
+        with pytest.raises(ValueError, match="pattern"):
+            await ben.give_back(waiting)
+        await ben.give_back(holder)
+        assert (await ben.wait(waiting)).state == "done"
+        assert fleet.journal.reserved() == []
+
+    run_fleet(main, guarded)
+
+
+def test_axes_taken_for_a_time_come_free_by_themselves() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        anna = fleet.client("anna")
+        await outcome(fleet, PREPARE)
+        await anna.reserve(["gantry"], 10)
+        heard: list[Lease] = []
+        await anna.bus.subscribe(
+            anna.keys.leases, lambda sample: heard.append(Lease.model_validate_json(sample.payload))
+        )
+        before_ns = fleet.clock.now_ns()
+        assert (await outcome(fleet, SHORT)).state == "done"
+        assert 9e9 < fleet.clock.now_ns() - before_ns < 13e9
+        assert (heard[0].holder, heard[0].what) == (None, "manual work")
+        assert fleet.journal.reserved() == []
+
+    run_fleet(main)
