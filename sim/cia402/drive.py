@@ -206,7 +206,7 @@ class Drive:
         if self.states.state is State.ENABLED and self._modes[self._mode].limit(sign):
             return
         servo.internal_limit = True
-        if servo.mover.moving:
+        if servo.mover.moving and not servo.mover.slowing:
             servo.slow_down(servo.acceleration(0x6085))
         self._changed()
 

@@ -45,6 +45,8 @@ class Mover:
         self.motions: list[Motion] = []
         self.shift: Callable[[], float] = lambda: 0.0
         """From mechanical to the user's positions, for the record of motions."""
+        self.slowing = False
+        """It comes to rest because of a stop."""
         self._interpolating = False
         self._ended_ns = 0
 
@@ -81,7 +83,7 @@ class Mover:
         here = self.position
         self._cancel()
         now_ns = self._time.now_ns()
-        self._base, self._plan, self._begin_ns = here, plan, now_ns
+        self._base, self._plan, self._begin_ns, self.slowing = here, plan, now_ns, slowing
         if self._motion is None:
             true_ns = self._time.true_ns(now_ns)
             self._motion = Motion(self._axis, true_ns, here + self.shift())

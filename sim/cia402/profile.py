@@ -51,7 +51,8 @@ class _Builder:
         return Plan(pieces, self.t, distance, self.t)
 
     def run_on(self) -> Plan:
-        return Plan((*self.pieces, Segment(self.t, self.x, self.v, 0.0)), math.inf, math.inf, self.t)
+        way = math.copysign(math.inf, self.v)
+        return Plan((*self.pieces, Segment(self.t, self.x, self.v, 0.0)), math.inf, way, self.t)
 
 
 def to_rest(speed: float, rate: float) -> Plan:
