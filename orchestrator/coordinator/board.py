@@ -1,7 +1,7 @@
 """What the bus shows of the queue: lists of jobs, and for what each one waits."""
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
@@ -16,13 +16,14 @@ QUIET_NS = 50 * NS_PER_MS  # between two puts of the queue, however fast jobs co
 
 
 class Board:
-    """Shows the jobs that wait and run. reasons: for what those that wait do so, by id, as was decided last."""
+    """Shows the jobs that wait and run."""
 
     def __init__(self, works: Works, waiting: Mapping[str, Waiting], running: Mapping[str, JobRun]) -> None:
-        self.reasons: dict[str, str] = {}
         self._works = works
         self._waiting = waiting
         self._running = running
+        self._places: Mapping[str, int] = {}
+        self._reasons: Mapping[str, str] = {}
         self._told: dict[str, str] = {}
         self._changed = False
         self._announcing: asyncio.Task[None] | None = None
@@ -33,17 +34,10 @@ class Board:
 
     def entries(self, rows: Iterable[JobRow]) -> list[QueueEntry]:
         """Jobs as a list shows them: with what only the present coordinator knows of those that wait."""
-        places = {each.row.id: place for place, each in enumerate(in_order(self._waiting), 1)}
-        return [self._entry(row, places.get(row.id)) for row in rows]
+        return [self.entry(row) for row in rows]
 
     def entry(self, row: JobRow) -> QueueEntry:
-        """A job as a list shows it."""
-        waiting = self._waiting.get(row.id)
-        if waiting is None:
-            return self._entry(row, None)
-        return self._entry(row, 1 + sum(each.order < waiting.order for each in self._waiting.values()))
-
-    def _entry(self, row: JobRow, place: int | None) -> QueueEntry:
+        """A job as a list shows it. It has its place as soon as it was decided that it waits."""
         run, waiting = self._running.get(row.id), self._waiting.get(row.id)
         if waiting is not None:
             row = waiting.row
@@ -52,9 +46,9 @@ class Board:
             name=row.name,
             actor=row.actor,
             state=run.state if run is not None and row.state not in ENDED else row.state,
-            reason=row.reason if waiting is None else self.reasons.get(row.id, row.reason),
+            reason=row.reason if waiting is None else self._reasons.get(row.id, row.reason),
             submitted_utc=row.submitted_utc,
-            place=place,
+            place=None if waiting is None else self._places.get(row.id),
             terms=row.terms,
             held_by=row.held_by,
             origin=row.origin,
@@ -78,12 +72,14 @@ class Board:
             self._works.bus.put(self._works.keys.queue, state.to_json(), Priority.EVENT)
             await sleep_ns(self._works.clock, QUIET_NS)
 
-    def tell(self) -> None:
-        """Say of each job that waits, and is shown, for what, if that has changed."""
+    def decided(self, order: Sequence[Waiting], reasons: Mapping[str, str]) -> None:
+        """Take over for what each job waits, in the queue's order; say it of those that are shown, if it is new."""
+        self._places = {each.row.id: place for place, each in enumerate(order, 1)}
+        self._reasons = reasons
         told: dict[str, str] = {}
-        for each in in_order(self._waiting)[:SHOWN]:
+        for each in order[:SHOWN]:
             row = each.row
-            reason = told[row.id] = self.reasons.get(row.id, row.reason)
+            reason = told[row.id] = reasons.get(row.id, row.reason)
             if self._told.get(row.id) != reason:
                 steps = len(each.job.steps) * row.repeat
                 progress = queued_progress(row, "queued", reason, self._works.clock.utc(), steps)

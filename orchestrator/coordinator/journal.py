@@ -102,23 +102,31 @@ class Journal:
             if self._path != ":memory:":
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
+            version = self._checked()
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
             self._db.execute("PRAGMA foreign_keys=ON")
-            version = self._db.execute("PRAGMA user_version").fetchone()[0]
-            if version > VERSION:
-                raise JournalError(f"{path}: schema {version} is newer than this Tutti's {VERSION}; use a newer Tutti")
-            if not version and self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-                raise JournalError(f"{path}: the file is a data base, but no journal", "give the journal another place")
-            damage = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if damage != "ok":
-                raise sqlite3.DatabaseError(damage)
             steps = "" if version else SCHEMA
             steps += "".join(MIGRATIONS[each] for each in range(max(version, 1), VERSION))
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
         except (sqlite3.Error, OSError) as error:
             raise _unusable(self._path, error) from None
+
+    def _checked(self) -> int:
+        """The version of the file, 0 for a new one. Raises `JournalError`, `sqlite3.Error` for one that is not to be
+        written to."""
+        version = self._db.execute("PRAGMA user_version").fetchone()[0]
+        if version > VERSION:
+            text = f"{self._path}: schema {version} is newer than this Tutti's {VERSION}"
+            raise JournalError(text, "use a newer Tutti")
+        if not version and self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            text = f"{self._path}: the file is a data base, but no journal"
+            raise JournalError(text, "give the journal another place")
+        damage = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if damage != "ok":
+            raise sqlite3.DatabaseError(damage)
+        return version
 
     def close(self) -> None:
         self._db.close()

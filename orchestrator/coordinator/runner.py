@@ -27,6 +27,7 @@ P = ParamSpec("P")
 
 TICK_NS = NS_PER_S  # how often the wall clock is looked at while a job waits for a time: it may be set
 LATE = timedelta(seconds=10)  # a coordinator that is back within that has not missed a job's time
+PATIENCE_NS = 20 * NS_PER_US  # a job
 CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be noted
 AGAIN_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
 
@@ -215,11 +216,12 @@ class Runner:
                 await sleep_ns(works.clock, AGAIN_NS)
                 self._trouble = False
                 self._wake.set()
+            # The longer the queue, the more is decided at once: looking through it takes some microseconds a job.
+            await sleep_ns(works.clock, len(self._waiting) * PATIENCE_NS)
             choice = self._choose()
             for each in choice.begin:
                 self._begin(each)
-            self._board.reasons = choice.reasons
-            self._board.tell()
+            self._board.decided(in_order(self._waiting), choice.reasons)
             if choice.begin:
                 self._board.announce()
 
@@ -275,8 +277,7 @@ class Runner:
             self._works.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
         del self._running[run.row.id]
         if not outcome.begun:
-            self._board.reasons[run.row.id] = outcome.reason
-            self._board.tell()
+            self._board.decided(in_order(self._waiting), {run.row.id: outcome.reason})
         self.wake()
         self._board.announce()
 

@@ -1,0 +1,201 @@
+"""The journal: what it keeps, the way from older versions, and what becomes of it when its disk does not work."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from orchestrator.coordinator.journal import Again, Journal, JournalError
+from orchestrator.coordinator.journal_schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.model.files import parse
+from orchestrator.model.job import Job
+from orchestrator.model.queue import Terms
+from orchestrator.model.report import ENDED, JobReport, JobState, Transition
+
+JOB = parse("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
+
+
+def utc(day: int) -> str:
+    return f"2026-11-{day:02}T10:00:00.000000Z"
+
+
+def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
+    report = JobReport(
+        job_id=job_id,
+        name="scan",
+        actor="a",
+        state=state,
+        reason="",
+        epoch=1,
+        submitted_utc=utc(1),
+        max_start_skew_ns=1,
+    )
+    journal.change(job_id, Transition(state=state, reason="", actor="a", utc=utc(2)), report)
+
+
+def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "journal.db"
+    journal = Journal(path)
+    terms = Terms(priority=3, repeat=2, after="b", at="2026-12-01T12:00:00+02:00", missed="run", held=True)
+    assert journal.accept("a", "key", JOB, utc(1), terms, Again("z", 1)) == ("a", True)
+    assert journal.accept("b", "key", JOB, utc(2)) == ("a", False)
+    # Another process sees it at once, whatever becomes of this one.
+    row = Journal(path).row("a")
+    assert row is not None
+    assert row.terms == terms
+    assert (row.at_utc, row.due, row.held_by) == ("2026-12-01T10:00:00.000000Z", False, "unknown")
+    assert (row.origin, row.from_step, row.place) == ("z", 1, 1)
+    assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)  # pyright: ignore[reportPrivateUsage]
+
+
+def test_jobs_are_found_by_state_name_and_time() -> None:
+    journal = Journal(":memory:")
+    for number in range(1, 10):
+        name = "100% _scan'" if number % 2 else "fill"
+        journal.accept(str(number), f"k{number}", JOB.model_copy(update={"name": name}), utc(number))
+    end(journal, "3", "failed")
+
+    def found(limit: int = 99, **wanted: str) -> list[str]:
+        rows, total = journal.find(limit, **wanted)  # type: ignore[arg-type]
+        assert total == len(journal.find(99, **wanted)[0])  # type: ignore[arg-type]
+        return [row.id for row in rows]
+
+    assert found(2) == ["9", "8"]
+    assert found(name="_scan'") == ["9", "7", "5", "3", "1"]
+    assert found(name="%") == ["9", "7", "5", "3", "1"]
+    assert found(state="failed") == ["3"]
+    assert found(since_utc=utc(8)) == ["9", "8"]
+    assert found(state="queued", name="fill", since_utc=utc(5)) == ["8", "6"]
+
+
+def test_what_is_not_queued_any_more_can_not_be_brought_back() -> None:
+    journal = Journal(":memory:")
+    journal.accept("a", "a", JOB, utc(1))
+    end(journal, "a", "cancelled")
+    late = Transition(state="queued", reason="held", actor="b", utc=utc(3))
+    journal.hold(["a"], "b", late)
+    journal.come_due("a", late)
+    journal.reorder("a", 5, {"a": 9}, late)
+    row = journal.row("a")
+    assert row is not None
+    assert (row.state, row.held_by, row.priority, row.place) == ("cancelled", "", 0, 1)
+    assert [each.state for each in journal.transitions("a")] == ["queued", "cancelled"]
+
+
+def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
+    journal = Journal(":memory:")
+    for number in range(1, 11):
+        journal.accept(str(number), f"k{number}", JOB, utc(number))
+        if number not in (2, 9):
+            end(journal, str(number))
+    journal.accept("x", "x", JOB, utc(11), Terms(after="3"))
+    journal.decide("4", 0, 1, 1, "gantry", utc(4))
+    assert journal.prune(utc(8), keep=5) == 4
+    # 2 has not ended, x comes after 3, and of the newest five none goes.
+    assert sorted(row.id for row in journal.find(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
+    assert journal.report("4") is None
+    assert journal.decisions("4") == []
+    assert journal.transitions("4") == []
+    assert journal.accept("4", "k4", JOB, utc(12)) == ("4", True)
+    assert journal.prune(utc(30), keep=1000) == 0
+
+
+@pytest.mark.parametrize("version", range(1, VERSION))
+def test_the_way_from_older_versions(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "journal.db"
+    old = sqlite3.connect(path)
+    steps = SCHEMA + "".join(MIGRATIONS[each] for each in range(1, version))
+    old.executescript(f"{steps} PRAGMA user_version={version};")
+    for number, state in enumerate(("done", "queued", "running"), 1):
+        values = (f"j{number}", f"k{number}", "scan", "anna", JOB.model_dump_json(), state, "why", utc(number))
+        old.execute(
+            "INSERT INTO jobs (id, client_key, name, actor, body, state, reason, submitted_utc)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            values,
+        )
+    old.commit()
+    old.close()
+    journal = Journal(path)
+    assert [(row.id, row.place, row.terms) for row in journal.unended()] == [("j2", 2, Terms()), ("j3", 3, Terms())]
+    assert journal.accept("x", "k1", JOB, utc(4)) == ("j1", False)
+    assert journal.accept("j4", "k4", JOB, utc(4)) == ("j4", True)
+    assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
+    journal.close()
+    assert [row.id for row in Journal(path).unended()] == ["j2", "j3", "j4"]
+
+
+def refused(path: Path) -> str:
+    """What opening says; the file is what it was."""
+    before = path.read_bytes()
+    with pytest.raises(JournalError) as caught:
+        Journal(path)
+    assert path.read_bytes() == before
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+def test_what_is_no_journal_of_ours_is_not_touched(tmp_path: Path) -> None:
+    text = tmp_path / "text"
+    text.write_text("no data base at all" * 100)
+    assert "file is not a database" in refused(text)
+    other = tmp_path / "other.db"
+    db = sqlite3.connect(other)
+    db.execute("CREATE TABLE meta (mine)")
+    db.commit()
+    db.close()
+    assert "is a data base, but no journal" in refused(other)
+    newer = tmp_path / "newer.db"
+    db = sqlite3.connect(newer)
+    db.execute(f"PRAGMA user_version={VERSION + 1}")
+    db.commit()
+    db.close()
+    assert f"schema {VERSION + 1} is newer than this Tutti's {VERSION}" in refused(newer)
+    with pytest.raises(JournalError, match="can not be used"):
+        Journal(tmp_path)
+
+
+def test_a_damaged_journal_is_said_and_not_written_to(tmp_path: Path) -> None:
+    path = tmp_path / "journal.db"
+    journal = Journal(path)
+    for number in range(300):
+        journal.accept(str(number), str(number), JOB, utc(1))
+    journal.close()
+    data = bytearray(path.read_bytes())
+    assert len(data) > 8 * 4096
+    for page in range(2, 8):
+        data[page * 4096 : page * 4096 + 64] = bytes(64)
+    path.write_bytes(data)
+    assert "can not be used" in refused(path)
+
+
+def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal.db")
+    db = journal._db  # pyright: ignore[reportPrivateUsage]
+    pages = db.execute("PRAGMA page_count").fetchone()[0]
+    db.execute(f"PRAGMA max_page_count={pages + 4}")
+    accepted = 0
+    with pytest.raises(JournalError, match="database or disk is full") as caught:
+        while True:
+            journal.accept(str(accepted), str(accepted), JOB, utc(1))
+            accepted += 1
+    assert "make room" in caught.value.remedy
+    # Nothing that was refused is half there, and all goes on when there is room.
+    assert len(journal.unended()) == accepted
+    with pytest.raises(JournalError):
+        journal.accept("x", "x", JOB, utc(1))
+    db.execute("PRAGMA max_page_count=100000")
+    assert journal.accept("x", "x", JOB, utc(1)) == ("x", True)
+    db.execute("PRAGMA query_only=ON")
+    with pytest.raises(JournalError, match="readonly database"):
+        journal.accept("y", "y", JOB, utc(1))
+    assert len(journal.unended()) == accepted + 1
+    assert {row.state for row in journal.unended()}.isdisjoint(ENDED)
+
+
+def test_a_body_that_can_not_be_read_names_the_job() -> None:
+    journal = Journal(":memory:")
+    journal.accept("a", "a", JOB, utc(1))
+    journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
+    with pytest.raises(JournalError, match="the Job of job a can not be read"):
+        journal.job("a")
