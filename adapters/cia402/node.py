@@ -29,6 +29,7 @@ from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
 
 _BOOT_UP = 0x00
+OPERATIONAL = 0x05
 
 
 class Node:
@@ -54,6 +55,9 @@ class Node:
         """How often this computer has left the bus."""
         self.emergencies: dict[int, str] = {}
         self.heard_ns = self.state_ns = self.moved_ns = self.acknowledged_ns = 0
+        self.nmt = _BOOT_UP
+        """Its NMT state, as its last heartbeat told."""
+        self.beat_ns = 0
         self._watchers: set[asyncio.Future[None]] = set()
         self._closed: LinkClosed | None = None
 
@@ -88,8 +92,8 @@ class Node:
             self.inputs, self.velocity = INPUTS.decode(data), VELOCITY.decode(data[4:])
         elif function == EMCY and len(data) == 8:
             self._emergency(int.from_bytes(data[:2], "little"))
-        elif function == HEARTBEAT and data[:1] == bytes([_BOOT_UP]):
-            self._booted()
+        elif function == HEARTBEAT and len(data) == 1:
+            self._beat(data[0], at_ns)
         self._wake()
 
     def take_status(self, status: int, at_ns: int) -> None:
@@ -103,6 +107,11 @@ class Node:
             self.emergencies.clear()
         else:
             self.emergencies[code] = emergency_text(code)
+
+    def _beat(self, state: int, at_ns: int) -> None:
+        if state == _BOOT_UP:
+            self._booted()
+        self.nmt, self.beat_ns = state, at_ns
 
     def _booted(self) -> None:
         """It was switched off and on: it has forgotten everything, its PDOs first."""

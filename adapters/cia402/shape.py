@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 WORD_MAX = 0xFFFF_FFFF
 _GOOD_ENOUGH_S = 1e-7
-_VELOCITIES, _ACCELERATIONS = 12, 8  # tried on each side of the exact one
+_VELOCITIES = 12  # tried on each side of the exact one
+_ACCELERATIONS = (8, 60)  # the same; the more when few have not been enough
+_ENOUGH_S = 20e-6
 
 
 class Leg(NamedTuple):
@@ -74,12 +76,15 @@ def fit(distance: int, duration_s: float, peak: float, bounds: Bounds, units: Un
         return None
     best: Trapezoid | None = None
     error_s = float("inf")
-    for candidate in _candidates(distance, duration_s, peak, most, units):
-        off_s = abs(candidate.duration_s - duration_s)
-        if off_s < error_s - _GOOD_ENOUGH_S / 2:
-            best, error_s = candidate, off_s
-            if error_s <= _GOOD_ENOUGH_S:
-                break
+    for reach in _ACCELERATIONS:
+        for candidate in _candidates(distance, duration_s, peak, most, units, reach):
+            off_s = abs(candidate.duration_s - duration_s)
+            if off_s < error_s - _GOOD_ENOUGH_S / 2:
+                best, error_s = candidate, off_s
+                if error_s <= _GOOD_ENOUGH_S:
+                    return best
+        if error_s <= _ENOUGH_S:
+            break
     return best
 
 
@@ -97,7 +102,9 @@ class Limits(NamedTuple):
         return cls(most(bounds.velocity * units.velocity), most(bounds.acceleration * units.acceleration))
 
 
-def _candidates(distance: int, duration_s: float, peak: float, most: Limits, units: Units) -> Iterator[Trapezoid]:
+def _candidates(
+    distance: int, duration_s: float, peak: float, most: Limits, units: Units, reach: int
+) -> Iterator[Trapezoid]:
     def made(velocity: int, acceleration: int, deceleration: int) -> Trapezoid:
         return Trapezoid(distance, velocity, acceleration, deceleration, units)
 
@@ -110,7 +117,7 @@ def _candidates(distance: int, duration_s: float, peak: float, most: Limits, uni
         inverse = 2 * ramps_s / v if ramps_s * v <= distance else duration_s**2 / (2 * distance)
         if inverse <= 0:
             continue
-        for acceleration in _around(2 / inverse * units.acceleration, _ACCELERATIONS, 1, most.acceleration):
+        for acceleration in _around(2 / inverse * units.acceleration, reach, 1, most.acceleration):
             rest = inverse - units.acceleration / acceleration
             if rest > 0:
                 exact = units.acceleration / rest

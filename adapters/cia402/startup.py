@@ -6,7 +6,7 @@ from adapters.cia402 import objects as o
 from adapters.cia402 import pdo
 from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START
 from adapters.cia402.fleetaxes import only_axis, units
-from adapters.cia402.node import Node
+from adapters.cia402.node import OPERATIONAL, Node
 from adapters.cia402.objects import Obj
 from adapters.cia402.options import Options
 from adapters.cia402.sdo import SdoAborted
@@ -23,6 +23,7 @@ _DRIVE_PROFILE = 402
 _NMT = 0x000
 _SLOW_DOWN, _QUICK_STOP_AND_STAY = 1, 6
 _TRAPEZOID = 0
+_BEATS = 5  # of its heartbeats, until it must have said that it is operational
 _STILL_NS = 60 * NS_PER_MS
 
 
@@ -56,27 +57,43 @@ async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[
     Its motion, if it has one, goes on. Whether it was a stranger: its PDOs were not as wanted. Raises `DriverFault`.
     """
     await node.sdo.write(o.HEARTBEAT, options.heartbeat_ms)
-    node.take_status(await node.sdo.read(o.STATUSWORD), node.clock.now_ns())
-    node.control = await node.sdo.read(o.CONTROLWORD) & ~NEW_SET_POINT
-    node.wanted_mode = await node.sdo.read(o.MODE)
-    if node.has_outputs:
-        node.outputs = await node.sdo.read(o.OUTPUTS)
     try:
         stranger = await pdo.map_all(node.sdo, node.number, node.name, wanted)
     except pdo.NotNow:
         stranger = True
         await _map_pre_operational(node, wanted)
-    began_ns = node.clock.now_ns()
-    node.bus.send(CanFrame(_NMT, bytes([NMT_START, node.number])))
+    await _start(node, options)
+    node.take_status(await node.sdo.read(o.STATUSWORD), node.clock.now_ns())
+    node.control = await node.sdo.read(o.CONTROLWORD) & ~NEW_SET_POINT
+    node.mode, node.wanted_mode = await node.sdo.read(o.MODE_DISPLAY), await node.sdo.read(o.MODE)
+    # What comes by PDO comes on change, or a little later; this is from now on.
+    node.demand, node.actual = await node.sdo.read(o.DEMAND), await node.sdo.read(o.ACTUAL)
+    node.inputs = await node.sdo.read(o.INPUTS)
+    if node.has_outputs:
+        node.outputs = await node.sdo.read(o.OUTPUTS)
     node.mapped = True
-    patience_ns = began_ns + node.answer_ns + 2 * options.state_ms * NS_PER_MS
-    if not await node.until(lambda: node.state_ns > began_ns, patience_ns):
-        # One without an event timer speaks on change only; that it lives is then all there is to be had.
-        node.demand, node.actual = await node.sdo.read(o.DEMAND), await node.sdo.read(o.ACTUAL)
-        node.inputs, node.mode = await node.sdo.read(o.INPUTS), await node.sdo.read(o.MODE_DISPLAY)
     node.bus.send(node.at_sync(node.control))
     starts.flush()
     return stranger
+
+
+async def _start(node: Node, options: Options) -> None:
+    """Have it operational, by its own word.
+
+    A boot-up may come late: on a bus full of SDOs it is the last to be sent. But it comes before the heartbeat.
+    """
+    began_ns = node.clock.now_ns()
+    node.bus.send(CanFrame(_NMT, bytes([NMT_START, node.number])))
+    patience_ns = _BEATS * options.heartbeat_ms * NS_PER_MS + node.answer_ns
+    if not await node.until(lambda: node.beat_ns > began_ns and node.nmt == OPERATIONAL, began_ns + patience_ns):
+        raise DriverFault(
+            "not-operational",
+            f"{node.name} was told to start, and its heartbeat does not say that it is operational (NMT state "
+            f"{node.nmt:#04x})"
+            if node.beat_ns > began_ns
+            else f"{node.name} sends no heartbeat (1017h)",
+            "is another master on the bus, or is the bus too busy for heartbeats? Try again",
+        )
 
 
 async def _map_pre_operational(node: Node, wanted: tuple[pdo.Pdo, ...]) -> None:

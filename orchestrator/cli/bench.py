@@ -140,6 +140,26 @@ def bus(as_json: bool, rounds: int) -> None:
     console.print(table)
 
 
+@bench.command(epilog="Example: tutti bench can --json")
+@json_option
+@click.option("--rounds", default=200, show_default=True, type=click.IntRange(10, 100_000), help="Starts each way.")
+def can(as_json: bool, rounds: int) -> None:
+    """Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, and arm them, in virtual time."""
+    from orchestrator.lab.bench_can import bench_can
+    from orchestrator.monitor.tables import plain_table
+
+    rows = bench_can(rounds)
+    if as_json:
+        print_json({"rows": [row._asdict() for row in rows], "rounds": rounds})
+        return
+    table = plain_table(["eight CiA 402 drives", "n>", "p50>", "p99>", "max>", "asked", "met"])
+    for row in rows:
+        met = "" if row.met is None else "yes" if row.met else "NO"
+        spans = (f"{value:.3f}" for value in (row.p50, row.p99, row.max))
+        table.add_row(f"{row.what}, {row.unit}", str(row.n), *spans, row.asked, met)
+    console.print(table)
+
+
 @bench.command(epilog="Example: tutti bench sim --controllers 64 --json")
 @json_option
 @click.option("--controllers", default=64, show_default=True, type=click.IntRange(1, 512), help="Of four axes each.")

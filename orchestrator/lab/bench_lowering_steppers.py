@@ -1,4 +1,4 @@
-"""Random feasible moves of steppers: as planned, as lowered, and a seeded part of them as executed, in virtual time.
+"""Random feasible moves of steppers and of one drive: as planned, as lowered, and a seeded part of them as executed.
 
 Rates are whole steps/s and ramps whole steps or milliseconds, so that what a unit can do differs with the mean rate of
 a move; the figures are given for all moves together and by mean rate.
@@ -17,7 +17,7 @@ from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
-from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.link.memory import MemoryWire, can_wire, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -38,7 +38,7 @@ ASKED_P99_MS, ASKED_MAX_MS = 0.2, 0.1
 @dataclass(frozen=True, slots=True)
 class Stepper:
     """A make and its controller of one axis `a`. quickest, acceleration: in steps/s (²). begins: what a line of
-    `Lowered.commands` that is a motion begins with."""
+    `Lowered.commands` that is a motion begins with. port: of the simulated unit."""
 
     make: str
     link: Mapping[str, Any]
@@ -48,6 +48,7 @@ class Stepper:
     quickest: float
     acceleration: float
     begins: str
+    port: str = "serial"
 
 
 STEPPERS = {
@@ -81,6 +82,17 @@ STEPPERS = {
             50_000.0,
             500_000.0,
             "MP",
+        ),
+        Stepper(
+            "cia402",
+            {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": 1},
+            {},
+            {},
+            {"unit": "counts", "limits": {"velocity": 200_000, "acceleration": 1_000_000}},
+            200_000.0,
+            1_000_000.0,
+            "6040h",
+            "can",
         ),
     )
 }
@@ -149,7 +161,8 @@ async def _measure(
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
     timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
     unit = simulator(subject.make).build(clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed)
-    wire = MemoryWire(clock, serial_wire(subject.link["baud"]), unit, "serial", "bench", copy_context(), seed)
+    model = serial_wire(subject.link["baud"]) if "baud" in subject.link else can_wire()
+    wire = MemoryWire(clock, model, unit, subject.port, "bench", copy_context(), seed)
     options = make.options.model_validate(config.options)
     driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
     await driver.connect()

@@ -14,7 +14,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sl
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
-from orchestrator.model.fleet import Controller
+from orchestrator.model.fleet import CanBusLink, Controller, SerialLink
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
@@ -272,7 +272,7 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
         config, draw = chosen.controller, Random(seed)
         make = find_make(config.adapter)
         make.check(config)
-        own = config.link.unit if config.link.kind in ("serial", "can") else None
+        own = config.link.unit if isinstance(config.link, SerialLink | CanBusLink) else None
 
         def branch(address: int | None) -> Branch:
             oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
