@@ -1,10 +1,11 @@
 """From a link of the fleet file to an open one."""
 
+from adapters.link.can import open_can
 from adapters.link.serial import open_serial
 from adapters.link.tcp import open_tcp
 from adapters.link.udp import open_udp
 from orchestrator.clock.base import Clock
-from orchestrator.link.base import Link, LinkRefused, OpenLink
+from orchestrator.link.base import Link, OpenLink
 from orchestrator.model.fleet import CanBusLink, TcpLink, UdpLink
 from orchestrator.model.fleet import Link as LinkModel
 
@@ -18,7 +19,7 @@ def open_link(model: LinkModel, clock: Clock) -> OpenLink:
         if isinstance(model, UdpLink):
             return await open_udp(model, clock)
         if isinstance(model, CanBusLink):
-            raise LinkRefused(f"{model.place}: CAN buses are simulated so far, in virtual time only")
+            return await open_can(model, clock)
         return open_serial(model, clock)
 
     return opened

@@ -20,7 +20,7 @@ from typing import TextIO
 
 from orchestrator.lab.bridge import bridge_baud
 from orchestrator.lab.throne import reigning
-from orchestrator.model.fleet import Controller, Fleet, SerialLink, by_line
+from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, by_line
 
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
@@ -29,6 +29,13 @@ RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL = frozenset({2, 4, 5})
 TAKEN = 4  # of the router: somebody else listens there
 DEPOSED = 6  # of the coordinator: another reigns, and the adapter hosts are at its service
+# What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
+_FOUND = {
+    "tcp": ("host", "port"),
+    "udp": ("host", "port"),
+    "serial": ("device",),
+    "can": ("interface", "channel"),
+}
 
 Say = Callable[[str], None]
 
@@ -141,7 +148,7 @@ class LiveFleet:
             place = json.loads(child.ready)
             for name in names:
                 config = self.fleet.controllers[name]
-                found = {"device"} if isinstance(config.link, SerialLink) else {"host", "port"}
+                found = _FOUND[config.link.kind]
                 link = config.link.model_copy(update={field: place[field] for field in found})
                 simulate = config.simulate.model_copy(update={"link": link})
                 controllers[name] = config.model_copy(update={"simulate": simulate})
@@ -179,7 +186,9 @@ class LiveFleet:
     def _simulator_command(self, names: Sequence[str]) -> list[str]:
         """One process for the controllers of one line."""
         name, config = "+".join(names), self.fleet.controllers[names[0]]
-        if isinstance(config.link, SerialLink):
+        if isinstance(config.link, CanBusLink):
+            listen = ["--listen", f"pty:{self.state / 'ports' / name}"]
+        elif isinstance(config.link, SerialLink):
             # What was listened on before is listened on again after a restart: the symlink is stable.
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
             listen += ["--frame", frame(config.link)]
@@ -193,11 +202,13 @@ class LiveFleet:
     def _simulated_unit(self, name: str) -> dict[str, object]:
         """What `--unit` says of a controller."""
         config = self.fleet.controllers[name]
-        simulate = config.simulate
+        link, simulate = config.link, config.simulate
         return {
             "name": name,
-            "address": config.link.unit if isinstance(config.link, SerialLink) else None,
-            "options": simulate.options,
+            "address": link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+            "options": {"bitrate": link.bitrate, **simulate.options}
+            if isinstance(link, CanBusLink)
+            else simulate.options,
             "timing": {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000},
             "oscillator": {
                 "offset_ns": round(simulate.offset_s * 1e9),

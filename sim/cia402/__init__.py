@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.cia402.unit import CanSegment, DriveUnit, build_bus, build_drive
+from sim.cia402.unit import DriveUnit, build_bus, build_drive
 from sim.core.controller import Branch, Timing, VectorBench
 from sim.core.oscillator import Oscillator
+from sim.link.can_card import CanSegment
 
 
 class Cia402:

@@ -9,30 +9,10 @@ from sim.cia402.options import Options, read_options
 from sim.cia402.servo import AXIS
 from sim.cia402.states import POWERED
 from sim.cia402.station import OFF, Station
-from sim.core.controller import Branch, Connection, LimitSwitch, Motion, PortRefused, Send, Timing
+from sim.core.controller import Branch, Connection, LimitSwitch, Motion, Send, Timing
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
-from sim.link.can_card import CanCard
-
-PORT = "can"
-
-
-class CanSegment:
-    """A bus with drives on it, as a line of several units: each connection is one more node, the computer's."""
-
-    def __init__(self, bus: MemoryCanBus) -> None:
-        self.bus = bus
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        return (PORT,)
-
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
-        """Raises `PortRefused`. A bus never hangs up."""
-        del closed
-        if port != PORT:
-            raise PortRefused(f"no port {port!r}; a drive has {PORT}")
-        return CanCard(self.bus, send)
+from sim.link.can_card import CanSegment
 
 
 class DriveUnit:

@@ -5,11 +5,14 @@ by itself, as SocketCAN's does with `restart-ms`.
 """
 
 from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode
 from orchestrator.link.can_bus import PASSIVE_FROM, MemoryCanBus
+from sim.core.controller import Connection, PortRefused, Send
 
+PORT = "can"
 RESTART_NS = 100 * NS_PER_MS
 
 # Of data[1] of an error frame, as linux/can/error.h has them.
@@ -40,3 +43,33 @@ class CanCard:
         self._send(encode(CanFrame(what, bytes([0, state, 0, 0, 0, 0, *counters]), error=True)))
         if what == ERROR_BUS_OFF:
             self._bus.later(RESTART_NS, self.node.restart)
+
+
+class CanSegment:
+    """A bus as the end of a wire: each connection is one more node on it, a computer's."""
+
+    def __init__(self, bus: MemoryCanBus) -> None:
+        self.bus = bus
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return (PORT,)
+
+    @property
+    def segment(self) -> "CanSegment":
+        return self
+
+    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
+        """Raises `PortRefused`. A bus never hangs up."""
+        del closed
+        if port != PORT:
+            raise PortRefused(f"no port {port!r}; a CAN bus has {PORT}")
+        return CanCard(self.bus, send)
+
+
+@runtime_checkable
+class OnCanBus(Protocol):
+    """What is reached over a CAN bus."""
+
+    @property
+    def segment(self) -> CanSegment: ...

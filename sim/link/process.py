@@ -25,6 +25,8 @@ from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 from sim.link.arguments import PtyPlace, UdpPlace, UnitFields, first_problem, parse_arguments, units
 from sim.link.bridge import BridgeServer, listen_bridge
+from sim.link.can_card import OnCanBus
+from sim.link.can_pty import CanPtyServer
 from sim.link.pty import PtyServer
 from sim.link.tcp import PORT as TCP_PORT
 from sim.link.tcp import TcpServer, listen_tcp
@@ -124,6 +126,10 @@ def _build(model: str, asked: Sequence[UnitFields], clock: LiveClock) -> Simulat
 async def _serve(chosen: argparse.Namespace, controller: Port, clock: LiveClock) -> Server:
     place = chosen.listen
     try:
+        if isinstance(controller, OnCanBus):
+            if not isinstance(place, PtyPlace):
+                raise CannotStart("--listen: a CAN bus stands behind an slcan pseudo-terminal only: pty:PATH")
+            return CanPtyServer(controller.segment, clock, place.link)
         if isinstance(place, PtyPlace):
             return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
         if isinstance(place, UdpPlace):

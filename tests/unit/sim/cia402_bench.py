@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from orchestrator.clock.queue import EventQueue
 from orchestrator.link.can import CanFrame, FrameReader, encode
 from sim.cia402 import CIA402
-from sim.cia402.unit import CanSegment, DriveUnit
+from sim.cia402.unit import DriveUnit
 from sim.core.controller import Branch, Timing
 from sim.core.oscillator import Oscillator
+from sim.link.can_card import CanSegment
 
 MS = 1_000_000
 US = 1_000

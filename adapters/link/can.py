@@ -1,0 +1,96 @@
+"""Links to CAN buses, over any interface that python-can knows.
+
+python-can is made of threads and blocking calls. It runs in a process of its own (`adapters.link.can_process`), so that
+neither it and the event loop hold each other up, nor the stamps suffer; a firing process writes its frames to that one.
+"""
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+from collections.abc import Callable
+
+from adapters.link.descriptor import DescriptorLink
+from orchestrator.clock.base import Clock
+from orchestrator.link.base import Link, LinkRefused, Received
+from orchestrator.model.links import CanBusLink
+
+OPEN_TIMEOUT_S = 10.0
+END_TIMEOUT_S = 2.0
+DATAGRAM = 65536
+
+# What the process says: the first byte of each of its datagrams.
+READY, FRAMES, ERROR = b"R", b"F", b"E"
+STAMP_BYTES = 8
+
+
+class _CanPort(DescriptorLink):
+    """The end of the process's socket: whole frames out, and stamped ones in."""
+
+    def __init__(self, place: str, fd: int, release: Callable[[], None], clock: Clock) -> None:
+        super().__init__(place, 0, fd, release, clock, datagrams=True)
+        self.process: asyncio.subprocess.Process | None = None
+
+    def _readable(self) -> None:
+        try:
+            data = os.read(self._fd, DATAGRAM)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._shut(f"{self._place}: {error.strerror}")
+            return
+        if data[:1] == FRAMES:
+            at_ns = int.from_bytes(data[1 : 1 + STAMP_BYTES], "little")
+            self._received.append(Received(data[1 + STAMP_BYTES :], at_ns))
+            self._wake()
+        else:
+            self._shut(f"{self._place}: {data[1:].decode() or 'the process of the CAN interface has died'}")
+
+    async def close(self) -> None:
+        await super().close()
+        process, self.process = self.process, None
+        if process is not None:
+            try:
+                async with asyncio.timeout(END_TIMEOUT_S):
+                    await process.wait()
+            except TimeoutError:
+                process.kill()
+                await process.wait()
+
+
+async def open_can(link: CanBusLink, clock: Clock) -> Link:
+    """A node of our own on the bus. Raises `LinkRefused`."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    command = (sys.executable, "-m", "adapters.link.can_process", str(theirs.fileno()))
+    with theirs:
+        process = await asyncio.create_subprocess_exec(
+            *command,
+            link.interface,
+            link.channel,
+            str(link.bitrate),
+            pass_fds=[theirs.fileno()],
+            stdin=asyncio.subprocess.DEVNULL,
+        )
+    try:
+        async with asyncio.timeout(OPEN_TIMEOUT_S):
+            said = await asyncio.get_running_loop().sock_recv(ours, DATAGRAM)
+    except BaseException as error:
+        ours.close()
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+        if isinstance(error, TimeoutError):
+            raise LinkRefused(
+                f"{link.place}: the interface {link.interface} is not open after {OPEN_TIMEOUT_S:g} s; "
+                "check the CAN adapter and its driver"
+            ) from None
+        raise
+    if said != READY:
+        ours.close()
+        await process.wait()
+        raise LinkRefused(f"{link.place}: {said[1:].decode() or 'the process of the CAN interface has died'}")
+    port = _CanPort(link.place, ours.fileno(), ours.close, clock)
+    port.process = process
+    return port
