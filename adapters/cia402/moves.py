@@ -238,22 +238,28 @@ class Mover:
         )
         if node.acknowledged_ns <= fired.written_ns and move.stopped_ns is None:
             raise self._not_started(move, taken)
-        heard_ns = node.acknowledged_ns if node.acknowledged_ns > fired.written_ns else latest_ns
-        # What the drive says is worth more than what is promised of it.
-        latest_ns = max(earliest_ns, min(latest_ns, heard_ns)) if heard_ns >= earliest_ns else heard_ns
-        span = Span(min(earliest_ns, latest_ns), latest_ns)
+        if node.acknowledged_ns > fired.written_ns:
+            # It says that it has taken the set-point, not that it moves already.
+            latest_ns = max(earliest_ns, min(latest_ns, node.acknowledged_ns + self._after_taking_ns))
+        span = Span(earliest_ns, latest_ns)
         move.started = span
         if move.stopped_ns is None:
             node.order(states.ENABLE)
         return dict.fromkeys(names, span)
 
+    @property
+    def _after_taking_ns(self) -> int:
+        """From taking a set-point to the motion, at the most."""
+        options = self._options
+        return (options.cycle_us + options.start_us + options.start_spread_us) * NS_PER_US
+
     def _promised(self, written_ns: int) -> tuple[int, int]:
         """Where the start lies after the SYNC was handed over at `written_ns`."""
         options, bitrate = self._options, self._node.bus.bitrate
         least_us = max(0, options.start_us - options.start_spread_us)
-        most_us = options.wire_jitter_us + options.cycle_us + options.start_us + options.start_spread_us
         earliest_ns = written_ns + sync_ns(bitrate) // _SHORTEST_SYNC + least_us * NS_PER_US
-        return earliest_ns, written_ns + sync_ns(bitrate) + full_frame_ns(bitrate) + most_us * NS_PER_US
+        wire_ns = options.wire_jitter_us * NS_PER_US + full_frame_ns(bitrate) + sync_ns(bitrate)
+        return earliest_ns, written_ns + wire_ns + self._after_taking_ns
 
     def _not_started(self, move: Move, said: bool) -> DriverFault:
         node = self._node

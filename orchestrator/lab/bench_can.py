@@ -33,6 +33,8 @@ BITRATE = 1_000_000
 NODES = range(1, 9)
 CRYSTAL_PPM = 100.0
 WAKE_US = 60  # how late a process is woken that writes at an instant, at most
+MEASURED = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
+"""What a person has measured of these drives."""
 COUNTS, VELOCITY, ACCELERATION = 20_000, 80_000.0, 400_000.0
 ASKED_SKEW_MS, ASKED_ARM = 0.15, 1.2
 STARTS = 20  # of the same drives; from one to the next the ticks of their control loops drift apart
@@ -134,7 +136,7 @@ def _build(clock: Clock, seed: int) -> _World:
 def _config(node: int) -> dict[str, Any]:
     axis = {"motors": ["1"], "unit": "counts", "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION}}
     link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": BITRATE, "unit": node}
-    return {"adapter": MAKE, "link": link, "axes": {"a": axis}}
+    return {"adapter": MAKE, "link": link, "options": MEASURED, "axes": {"a": axis}}
 
 
 async def _ready(world: _World) -> None:
