@@ -182,10 +182,14 @@ class Unit:
             await sleep_until_ns(self._clock, until_ns + NS_PER_MS)
 
     async def _beat(self) -> None:
-        """The adapter's heartbeat while its controller is not polled: it is out of reach, or its line is taken."""
+        """The adapter's heartbeat while its controller is not polled: it is out of reach, or its line is taken.
+
+        Not in motion: nobody is to believe that all is well there who has not seen it.
+        """
         beat_ns = round(NS_PER_S / self._config.state.idle_hz)
         while True:
-            if self._clock.now_ns() - self._presenter.published_ns >= beat_ns:
+            quiet = self._clock.now_ns() - self._presenter.published_ns >= beat_ns
+            if quiet and self._presenter.mode() != "moving":
                 self._presenter.publish()
             await sleep_ns(self._clock, beat_ns)
 

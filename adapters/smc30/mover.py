@@ -266,6 +266,12 @@ class Mover:
             "fault", {lowered.axis: span}, f"{stands}: has the {side} end-of-travel input stopped it, or its own error?"
         )
 
+    def seen_ready(self, asked_ns: int) -> None:
+        """The unit executes nothing, by an answer to what was asked then: a step that should still move has ended."""
+        move = self.move
+        if move is not None and move.started is not None and asked_ns > move.started.latest_ns:
+            move.changed.set()
+
     def _end(self, move: Move, last_busy_ns: int, ready_ns: int) -> Span:
         """By its start and its duration, as far as the crystal may be wrong; and before it answered that it is ready.
 

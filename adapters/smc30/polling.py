@@ -42,6 +42,7 @@ class Poller:
             except Busy:
                 now = await unit.status()
         if not now.busy:
+            self._mover.seen_ready(now.sent_ns)
             self._settled()
             counts, velocity, moving = unit.rest_counts, 0.0, False
         else:

@@ -6,6 +6,7 @@ import click
 
 from orchestrator.cli.codes import BAD_INPUT, FAILED
 from orchestrator.cli.common import console, fail, json_option, print_json
+from orchestrator.cli.sim_campaign import campaign
 from orchestrator.cli.sim_world import limit, power, push, set_input, stall
 
 
@@ -14,7 +15,7 @@ def sim() -> None:
     """Simulated controllers: check them against test vectors, and change the world around those that run."""
 
 
-for command in (set_input, limit, power, push, stall):
+for command in (set_input, limit, power, push, stall, campaign):
     sim.add_command(command)
 
 

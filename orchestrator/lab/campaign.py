@@ -62,7 +62,7 @@ STAND_STILL_NS = 8 * NS_PER_S
 
 @dataclass(slots=True)
 class Story:
-    """What happened in one run."""
+    """What happened in one run, which took fleet_s of virtual time."""
 
     seed: int
     stage: Stage
@@ -72,6 +72,7 @@ class Story:
     violations: list[str] = field(default_factory=list[str])
     state: str = ""
     moved: bool = False
+    fleet_s: float = 0.0
 
     def tell(self) -> str:
         """The story, shortened, for a failing test."""
@@ -89,6 +90,7 @@ def run_seed(fleet: Fleet, prepare: Job, move: Job, seed: int, stage: Stage, fau
             await run.play(prepare, move)
         finally:
             story.lines = run.fleet.lines
+            story.fleet_s = clock.now_ns() / NS_PER_S
 
     run_virtual(main)
     return story
