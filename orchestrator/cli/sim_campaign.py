@@ -15,8 +15,8 @@ from orchestrator.cli.common import console, json_option, print_json
 @click.option("--trace", is_flag=True, help="With --seed: everything that was logged.")
 @json_option
 def campaign(seeds: int, first: int, seed: int | None, trace: bool, as_json: bool) -> None:
-    """Break simulated fleets of random makes, each at a stage of a synchronised step, and hold what really moved against
-    the invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an invariant.
+    """Break simulated fleets of random makes, each at a stage of a synchronised step, and hold what really moved to the
+    invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an invariant.
     """
     from orchestrator.lab.campaign import Story
     from orchestrator.lab.campaign_runs import play, run_campaign
