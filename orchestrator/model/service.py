@@ -7,7 +7,7 @@ from pydantic import Field
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
-from orchestrator.model.queue import Terms, Utc
+from orchestrator.model.queue import MOST_STEPS, Terms, Utc
 from orchestrator.model.report import JobReport, JobState, QueueEntry, StepRecording, Transition
 
 LONGEST_HAND_S = 24 * 3600.0  # `tutti axis take --for`; who renews says much less
@@ -38,7 +38,7 @@ class Again(Request):
     """
 
     job_id: str
-    from_step: int = Field(default=0, ge=0)
+    from_step: int = Field(default=0, ge=0, le=MOST_STEPS)
     client_key: str = Field(min_length=1, max_length=200)
     terms: Terms | None = None
     dry_run: bool = False
@@ -101,7 +101,7 @@ class JobShown(Reply):
 class RecordingRef(JobRef):
     """The recording of one motion step of a job."""
 
-    step: int = Field(ge=0)
+    step: int = Field(ge=0, le=MOST_STEPS)
 
 
 class Recorded(Reply):

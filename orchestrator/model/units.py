@@ -50,7 +50,10 @@ _SIZE: dict[Unit, tuple[str, Fraction]] = {
     Unit.COUNTS: ("counts", Fraction(1)),
 }
 
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ\"']*)\s*$")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*([A-Za-zµ\"']*)\s*$")
+
+LONGEST = 60  # characters of a quantity
+LARGEST = 1e15  # of any unit: in counts of any axis it is still a number that can be calculated with
 
 
 class UnitError(ValueError):
@@ -90,8 +93,12 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
 def _check_quantity(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number in the axis\'s unit, or text with a unit such as "12.5 um"')
-    if isinstance(value, str) and not _QUANTITY.match(value):
-        raise ValueError(f'{value!r} is no quantity; write a number, or a number and a unit, e.g. "12.5 um"')
+    found = _QUANTITY.match(value[:LONGEST]) if isinstance(value, str) else None
+    if isinstance(value, str) and (found is None or len(value) > LONGEST):
+        raise ValueError(f'{value[:LONGEST]!r} is no quantity; write a number, or a number and a unit, e.g. "12.5 um"')
+    # An integer may be beyond every float.
+    if abs(float(found[1]) if found else value) > LARGEST:  # pyright: ignore[reportArgumentType]
+        raise ValueError(f"{value!r} is beyond all machines; the largest number is {LARGEST:g}")
     return value
 
 

@@ -1,0 +1,275 @@
+"""What hostile, broken and hasty clients do: every key answers with an error, and the fleet goes on."""
+
+import asyncio
+import json
+from random import Random
+from typing import Any, cast
+
+import pytest
+from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
+
+from orchestrator.bus.base import RequestRefused
+from orchestrator.client.api import Refused
+from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.messages import Reply
+from orchestrator.model.queue import Terms
+
+SHORT = job("[{do: move, by: {gantry.y: 1}}]")
+LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
+HEAD = {"request_id": "r", "actor": "mallory"}
+
+# A good request of every key, to begin with. What is not here is asked with the head alone.
+SERVICE: dict[str, dict[str, Any]] = {
+    "submit": {"job": SHORT.to_plain(), "client_key": "k", "terms": {"priority": 1}, "dry_run": False},
+    "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
+    "show": {"job_id": "x"},
+    "recording": {"job_id": "x", "step": 0},
+    "cancel": {"job_id": "x"},
+    "retry": {"job_id": "x", "from_step": 1, "client_key": "k2", "terms": None, "dry_run": True},
+    "hold": {"job_ids": ["x"]},
+    "release-job": {"job_ids": ["x"]},
+    "move": {"job_id": "x", "before": "y"},
+    "pause": {"job_id": "x"},
+    "resume": {"job_id": "x"},
+    "prune": {"older_s": 1e9, "keep": 10},
+    "stop": {"mode": "decelerate"},
+    "take": {"axes": ["gantry.x"], "holder": "hand-1", "what": "w", "ttl_s": 0.5, "reserve": False},
+    "release": {"holder": "hand-1"},
+    "reload": {"configuration": demo_fleet().to_plain()},
+    "check-wiring": {},
+}
+COMMANDS: dict[str, dict[str, Any]] = {
+    "adopt": {"reign": {}},
+    "lease": {"axes": ["x"], "holder": "hand-1", "ttl_ms": 1000},
+    "propose": {"job": "j", "step": 0, "digest": "", "duration_s": 1.0, "profiles": {}},
+    "arm": {"job": "j", "step": 0, "digest": "", "t0_fleet_ns": 1, "profiles": {}},
+    "commit": {"job": "j", "step": 0, "t0_fleet_ns": 1},
+    "go": {"job": "j", "step": 0, "t0_fleet_ns": 1},
+    "disarm": {"job": "j", "step": 0},
+    "stop": {"mode": "abort", "reason": "r"},
+    "enable": {"axes": ["x"], "on": False, "holder": "h"},
+    "home": {"axes": ["x"], "holder": "h"},
+    "jog": {"holder": "hand-1", "seq": 1, "velocities": {"x": 1.0}, "valid_ms": 100},
+    "set-position": {"axes": ["x"], "holder": "h", "position": "1 mm"},
+    "output": {"output": "lamp", "value": True},
+    "configure": {"configuration": {}, "check": True},
+    "reset": {"event": None, "check": True},
+    "raw": {"holder": "h", "command": "MG TIME", "i_know": False},
+    "trace": {},
+}
+NASTY: tuple[Any, ...] = (
+    *(None, True, -1, 0, 2**53, -(2**63), 10**400, 1e308, "", "x" * 100_000, "\u0000", "\ud800", "../../etc/passwd"),
+    *("'; DROP TABLE jobs; --", "*", "**", "$*", "1e999999999 mm", "9" * 5000 + " s", "0001-01-01T00:00:00+14:00"),
+    *([], {}, [[]] * 50, {"a": {"b": {"c": None}}}, [0] * 20_000, ["gantry"] * 2000),
+)
+RAW = (
+    *(b"", b"null", b"[]", b"0", b'"text"', b"{", b"\xff\xfe\x00", b"{}" * 1000, b"[" * 100_000, b'{"a":' * 5000),
+    *(b"NaN", b'{"request_id": NaN}', b'{"request_id": "r", "actor": "m"}', b" " * 1_000_000, bytes(range(256))),
+)
+
+
+def below(place: Any) -> list[Any]:
+    """The keys of what is nested in `place`; none of a plain value."""
+    if isinstance(place, dict):
+        return list(cast("dict[str, Any]", place))
+    return list(range(len(cast("list[Any]", place)))) if isinstance(place, list) else []
+
+
+def mutated(draw: Random, good: dict[str, Any]) -> bytes:
+    """A request with something wrong in it, or a good one cut or stirred."""
+    value: Any = json.loads(json.dumps(good)) | {"request_id": f"{draw.getrandbits(64):x}"}
+    place: Any = value
+    key: Any = draw.choice(sorted(value))
+    # Down into what is nested, sometimes.
+    while (keys := below(place[key])) and draw.random() < 0.7:
+        place, key = place[key], draw.choice(keys)
+    way = draw.random()
+    if way < 0.7:
+        place[key] = draw.choice(NASTY)
+    elif way < 0.8 and isinstance(place, dict):
+        del place[key]
+    elif isinstance(place, dict):
+        place[draw.choice(("extra", "__class__", ""))] = draw.choice(NASTY)
+    data = json.dumps(value).encode()
+    if way > 0.95:
+        data = data[: draw.randrange(len(data))]
+    elif way > 0.9:
+        at = draw.randrange(len(data))
+        data = data[:at] + bytes([draw.randrange(256)]) + data[at + 1 :]
+    return data
+
+
+async def ask(fleet: VirtualFleet, key: str, payload: bytes) -> None:
+    """Ask; whatever the answer is, it is one."""
+    bus = fleet.client("mallory").bus
+    try:
+        answer = await bus.request(key, payload, timeout_s=120.0)
+    except RequestRefused as refused:
+        assert str(refused)
+        return
+    finally:
+        await bus.close()
+    assert isinstance(json.loads(answer), dict)
+
+
+@pytest.mark.parametrize("verb", SERVICE)
+def test_no_payload_ends_the_service(verb: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        draw = Random(verb)
+        good = HEAD | SERVICE[verb]
+        payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
+        for payload in payloads:
+            await ask(fleet, fleet.keys.svc(verb), payload)
+        client = fleet.client()
+        await client.release()
+        while waiting := (await client.jobs(state="queued")).jobs:
+            for each in waiting:
+                await client.cancel(each.id)
+        assert (await outcome(fleet, PREPARE, SHORT)).state == "done"
+
+    run_fleet(main)
+
+
+def test_every_key_of_the_service_is_tried() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        coordinator: Coordinator = fleet.coordinators["first"][1]
+        assert set(SERVICE) == set(coordinator._verbs)  # pyright: ignore[reportPrivateUsage]
+        with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known: cancel"):
+            await fleet.client().bus.request(fleet.keys.svc("nothing"), b"{}", timeout_s=1.0)
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("controller", ["gantry", "stage"])
+def test_no_payload_ends_an_adapter(controller: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        throne = fleet.coordinators["first"][1].throne
+        for verb, more in COMMANDS.items():
+            draw = Random(verb)
+            good = HEAD | more
+            if verb not in ("stop", "jog", "reset", "raw", "trace"):
+                # As if it were the coordinator itself that has lost its mind.
+                good |= {"epoch": throne.epoch, "coordinator": throne.coordinator}
+            for payload in [*RAW, *(mutated(draw, good) for _ in range(20))]:
+                await ask(fleet, fleet.keys.cmd(controller, verb), payload)
+        await fleet.client().reset()
+        assert (await outcome(fleet, PREPARE, SHORT)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_thousand_cancels_at_once() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        running = await client.submit(LONG)
+        jobs = [running, *[await client.submit(SHORT) for _ in range(9)]]
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        asked = [client.cancel(jobs[number % 10]) for number in range(1000)]
+        answers = await asyncio.gather(*asked, return_exceptions=True)
+        assert all(each is None or isinstance(each, Refused) for each in answers)
+        for each in jobs:
+            report = await client.wait(each)
+            assert report.state == "cancelled"
+            assert [change.state for change in report.transitions].count("cancelled") == 1
+        assert (await outcome(fleet, SHORT)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_client_that_vanishes_after_its_submission() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = fleet.controllers["gantry"].position("Y")
+        for number in range(5):
+            client = fleet.client("mayfly")
+            submission = asyncio.ensure_future(client.submit(SHORT, f"mayfly-{number}"))
+            # Before the request is there, on its way, and after the answer.
+            await asyncio.sleep(0.0003 * number)
+            fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
+            submission.cancel()
+        await asyncio.sleep(20)
+        jobs = (await fleet.client().jobs(state="done", name="test")).jobs
+        moved = len(jobs) - 1  # without the preparation
+        assert 1 <= moved <= 5
+        assert fleet.controllers["gantry"].position("Y") == before + 1000 * moved
+
+    run_fleet(main)
+
+
+def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
+        moving, queued = await client.submit(LONG), await client.submit(SHORT, terms=Terms(held=True))
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        db.execute("PRAGMA query_only=ON")
+        for asked in (client.submit(SHORT), client.cancel(queued), client.hold(queued), client.release(queued)):
+            if asked.__name__ == "hold":
+                await asked  # it is held already: nothing to note
+                continue
+            with pytest.raises(Refused, match="readonly database") as caught:
+                await asked
+            assert caught.value.refusal.code == "journal"
+            assert "make room" in caught.value.refusal.remedy
+        # What moves can be stopped, whatever the journal says.
+        await client.stop()
+        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        await asyncio.sleep(30)
+        db.execute("PRAGMA query_only=OFF")
+        await asyncio.sleep(10)
+        assert (await client.wait(moving)).state == "aborted"
+        await client.release(queued)
+        assert (await client.wait(queued)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_job_does_not_begin_while_the_journal_can_not_say_so() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await outcome(fleet, PREPARE)
+        db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
+        held = await client.submit(SHORT, terms=Terms(held=True))
+        before = fleet.controllers["gantry"].position("Y")
+        blocked = await client.submit(job("[{do: dwell, duration: 2 s}, {do: move, by: {gantry.y: 1}}]"))
+        await client.release(held)
+        db.execute("PRAGMA query_only=ON")
+        await asyncio.sleep(20)
+        assert fleet.controllers["gantry"].position("Y") == before
+        db.execute("PRAGMA query_only=OFF")
+        states = [(await client.wait(each)).state for each in (blocked, held)]
+        assert states == ["failed", "done"]
+        assert fleet.controllers["gantry"].position("Y") == before + 1000
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("value", ["1e999999999 mm", "1e90", "1e-999999 mm", "9" * 5000, 1e308, 10**400, 2**63])
+def test_no_quantity_is_too_large_to_be_refused(value: Any) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        throne = fleet.coordinators["first"][1].throne
+        for step in ({"do": "move", "to": {"gantry.x": value}}, {"do": "set-position", "axes": {"gantry.x": value}}):
+            plain = {**SHORT.to_plain(), "steps": [step]}
+            request = {**HEAD, "job": plain, "client_key": str(step)}
+            await ask(fleet, fleet.keys.svc("submit"), json.dumps(request).encode())
+        request = {**HEAD, "epoch": throne.epoch, "coordinator": throne.coordinator, "axes": ["x"], "holder": "h"}
+        await ask(fleet, fleet.keys.cmd("gantry", "set-position"), json.dumps({**request, "position": value}).encode())
+        assert (await outcome(fleet, SHORT)).state == "done"
+
+    run_fleet(main)
+
+
+def test_a_reply_is_readable_as_a_refusal() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        payload = json.dumps({**HEAD, "job_id": "nothing"}).encode()
+        answer = await fleet.client().bus.request(fleet.keys.svc("cancel"), payload, timeout_s=1.0)
+        refused = Reply.model_validate_json(answer).refused
+        assert refused is not None
+        assert (refused.code, refused.text, refused.remedy) == ("unknown-job", "no job nothing", "see `tutti job ls`")
+
+    run_fleet(main)
