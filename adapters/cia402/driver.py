@@ -123,8 +123,12 @@ class CiaDriver(Driver):
         if self._bus.off:
             raise bus_off(found.name)
         began_ns = self._clock.now_ns()
+
         # What it said last is what holds now if it still speaks: it speaks at once when something changes.
-        if not await found.until(lambda: found.heard_ns > began_ns or self._bus.off, began_ns + patience_ns):
+        def heard() -> bool:
+            return found.heard_ns > began_ns or found.boots != self._boots or self._bus.off
+
+        if not await found.until(heard, began_ns + patience_ns):
             raise DriverFault(
                 "no-answer",
                 f"{found.name} has been silent for {(self._clock.now_ns() - found.heard_ns) // NS_PER_MS} ms, its "

@@ -308,7 +308,7 @@ class Mover:
         if not stopped and not trouble and there:
             return Outcome("done", {lowered.axis: Span(min(earliest_ns, latest_ns), latest_ns)})
         spans = {lowered.axis: Span(min(move.started.earliest_ns, now_ns), now_ns)}
-        stands = f"axis {lowered.axis} stands at {node.demand}, not at its target {lowered.target}"
+        stands = f"axis {lowered.axis} stands at {node.actual}, its target is {lowered.target}"
         if stopped:
             return Outcome("stopped", spans, f"stopped on request; {stands}")
         return Outcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")

@@ -83,15 +83,17 @@ class Power:
         """Clear a fault. Raises `CannotDo`."""
         await self.stopped()
         node = self._node
+        # A reset is taken when the drive has come to rest.
+        await node.until(lambda: node.state is not State.REACTION, node.clock.now_ns() + _RAMP_NS)
+        if node.state is State.FAULT:
+            node.order(states.DISABLE_VOLTAGE)
+            node.order(states.FAULT_RESET)
+            cleared = await node.soon(lambda: node.state is not State.FAULT)
+            node.order(states.DISABLE_VOLTAGE)
+            if not cleared:
+                await node.look()
+                raise CannotDo("fault", f"{node.name} keeps its fault: {node.why()}", "take away its cause, then reset")
         node.emergencies.clear()
-        if node.state not in (State.FAULT, State.REACTION):
-            return
-        node.order(states.DISABLE_VOLTAGE)
-        node.order(states.FAULT_RESET)
-        cleared = await node.soon(lambda: node.state not in (State.FAULT, State.REACTION))
-        node.order(states.DISABLE_VOLTAGE)
-        if not cleared:
-            raise CannotDo("fault", f"{node.name} keeps its fault: {node.why()}", "take away its cause, then reset")
 
     # Stops
 

@@ -1,0 +1,137 @@
+"""Several simulated CiA 402 drives on one bus in memory, each with its driver."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from contextvars import copy_context
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any
+
+from adapters.cia402 import MAKE
+from adapters.cia402.driver import CiaDriver
+from adapters.contract import Lowered, Setup
+from adapters.firing import LoopFirer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_until_ns
+from orchestrator.clock.virtual import run_virtual
+from orchestrator.link.can import CanFrame
+from orchestrator.link.memory import MemoryWire, can_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.cia402 import CIA402
+from sim.core.controller import Branch, Timing
+from sim.core.oscillator import Oscillator
+
+VELOCITY, ACCELERATION = 80_000.0, 400_000.0
+SYNC = 0x080
+
+
+def config(node: int, options: Mapping[str, Any] | None = None, **axis: Any) -> Controller:
+    return Controller.model_validate(
+        {
+            "adapter": "cia402",
+            "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": node},
+            "options": dict(options or {}),
+            "axes": {
+                "a": {
+                    "motors": ["1"],
+                    "unit": "counts",
+                    "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION},
+                    **axis,
+                }
+            },
+        }
+    )
+
+
+def profiles(begin: int, end: int) -> dict[str, Profile]:
+    return dict(plan_step([AxisMove("a", begin, end, VELOCITY / 2, ACCELERATION / 2)]).profiles)
+
+
+@dataclass
+class Drives:
+    """The bus, its drives and their drivers, by number from 0; node n + 1."""
+
+    clock: Clock
+    bus: Any
+    units: list[Any]
+    drivers: list[CiaDriver]
+    wire: MemoryWire
+    frames: list[tuple[int, CanFrame]] = field(default_factory=list[tuple[int, CanFrame]])
+
+    @property
+    def driver(self) -> CiaDriver:
+        return self.drivers[0]
+
+    @property
+    def unit(self) -> Any:
+        return self.units[0]
+
+    async def ready(self) -> None:
+        for driver in self.drivers:
+            await driver.connect()
+            await driver.configure()
+            await driver.enable(["a"], True)
+
+    async def until(self, at_ns: int) -> None:
+        await sleep_until_ns(self.clock, at_ns)
+
+    async def rest(self, ms: float) -> None:
+        await self.until(self.clock.now_ns() + round(ms * NS_PER_MS))
+
+    async def arm(self, number: int, target: int, t0_ns: int, begin: int = 0) -> Lowered:
+        """Armed and verified."""
+        driver = self.drivers[number]
+        lowered = driver.lower(profiles(begin, target), StartWay(), None)
+        await driver.arm(lowered, t0_ns, None)
+        await driver.verify()
+        return lowered
+
+    async def go(self, target: int = 40_000, after_ms: int = 200) -> int:
+        """The first drive armed and released; T0."""
+        t0_ns = self.clock.now_ns() + after_ms * NS_PER_MS
+        await self.arm(0, target, t0_ns)
+        await self.driver.go()
+        return t0_ns
+
+    def syncs(self, since_ns: int = 0) -> int:
+        """How many SYNCs have been on the bus."""
+        return sum(frame.id == SYNC for at_ns, frame in self.frames if at_ns >= since_ns)
+
+
+def run(
+    main: Callable[[Drives], Awaitable[None]],
+    count: int = 1,
+    simulate: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    **axis: Any,
+) -> None:
+    """Run `main` with `count` drives. simulate: options of the simulated drives; options, axis: of the fleet file."""
+
+    async def within(clock: Clock) -> None:
+        branches = [
+            Branch(node, dict(simulate or {}), Oscillator(0, 7.0 * node), Timing(300 * NS_PER_US), node)
+            for node in range(1, count + 1)
+        ]
+        segment, units = CIA402.build_shared(clock, branches)
+        wire = MemoryWire(clock, can_wire(), segment, "can", "can can0", copy_context(), 3)
+        draw, shared = Random(5), dict[str, Any]()
+        firer = LoopFirer(clock, lambda: draw.randrange(50 * NS_PER_US))
+        drivers: list[CiaDriver] = []
+        for node in range(1, count + 1):
+            its = config(node, options, **axis)
+            MAKE.check(its)
+            setup = Setup(f"d{node}", its, MAKE.options.model_validate(its.options), clock, wire.open, firer, shared)
+            drivers.append(MAKE.driver(setup))
+        drives = Drives(clock, segment.bus, list(units), drivers, wire)
+        segment.bus.watch(lambda frame, begin_ns, end_ns: drives.frames.append((end_ns, frame)))
+        try:
+            await main(drives)
+        finally:
+            for driver in drivers:
+                await driver.close()
+
+    run_virtual(within)
+
+
+SECOND = NS_PER_S

@@ -1,0 +1,153 @@
+"""One SYNC starts the drives of a step, and never those of another."""
+
+import asyncio
+
+import pytest
+from unit.adapters.cia402_bench import Drives, config, run
+
+from adapters.cia402 import MAKE
+from adapters.contract import CannotDo, DriverFault
+from orchestrator.clock.base import NS_PER_MS
+
+
+def test_one_sync_starts_all_drives_of_a_step() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
+        for number in range(4):
+            await world.arm(number, 20_000, t0_ns)
+        for driver in world.drivers:
+            await driver.go()
+        before_ns = world.clock.now_ns()
+        spans = await asyncio.gather(*(driver.started() for driver in world.drivers))
+        outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers))
+        assert [each.state for each in outcomes] == ["done"] * 4
+        assert world.syncs(before_ns) == 1
+        starts = [unit.motions[-1].start_ns for unit in world.units]
+        assert max(starts) - min(starts) <= 150_000
+        for span, start_ns in zip(spans, starts, strict=True):
+            assert span["a"].earliest_ns <= start_ns <= span["a"].latest_ns
+
+    run(main, count=4)
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_one_that_is_disarmed_does_not_start_with_the_others(released: bool) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
+        for number in range(2):
+            await world.arm(number, 20_000, t0_ns)
+        await world.drivers[1].go()
+        if released:
+            await world.drivers[0].go()
+            await world.rest(5)
+        await world.drivers[0].disarm()
+        await world.drivers[1].started()
+        assert (await world.drivers[1].outcome()).state == "done"
+        assert not world.units[0].motions
+        assert world.units[1].position("1") == 20_000
+        # Nor with a later SYNC of others.
+        t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
+        await world.arm(1, 0, t0_ns, begin=20_000)
+        await world.drivers[1].go()
+        await world.drivers[1].started()
+        assert (await world.drivers[1].outcome()).state == "done"
+        assert not world.units[0].motions
+
+    run(main, count=2)
+
+
+def test_a_released_step_that_is_disarmed_alone_leaves_nothing_waiting() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await world.go(after_ms=300)
+        await world.rest(5)
+        await world.driver.disarm()
+        await world.until(t0_ns + 500 * NS_PER_MS)
+        # Whoever sends a SYNC now starts nothing.
+        link = await world.wire.open()
+        link.write(bytes.fromhex("80000000") + bytes(12))
+        await world.rest(500)
+        assert not world.unit.motions
+
+    run(main)
+
+
+def test_steps_of_one_bus_start_one_after_another_each_with_its_own_sync() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
+        await world.arm(0, 20_000, t0_ns)
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(1, 20_000, t0_ns + 5 * NS_PER_MS)
+        assert caught.value.refusal.code == "bus-busy"
+        assert caught.value.refusal.remedy
+        await world.arm(1, 20_000, t0_ns + 50 * NS_PER_MS)
+        # The later one is released first: its set-point must not be taken by the earlier SYNC.
+        await world.drivers[1].go()
+        await world.drivers[0].go()
+        spans = await asyncio.gather(*(driver.started() for driver in world.drivers))
+        await asyncio.gather(*(driver.outcome() for driver in world.drivers))
+        starts = [unit.motions[-1].start_ns for unit in world.units]
+        assert 48 * NS_PER_MS < starts[1] - starts[0] < 52 * NS_PER_MS
+        for span, start_ns in zip(spans, starts, strict=True):
+            assert span["a"].earliest_ns <= start_ns <= span["a"].latest_ns
+
+    run(main, count=2)
+
+
+def test_a_lost_sync_is_said_and_nothing_moves() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        await world.go()
+        world.wire.to_far = lambda data: b"" if data[:4] == bytes.fromhex("80000000") else data
+        with pytest.raises(DriverFault) as caught:
+            await world.driver.started()
+        assert caught.value.fault.code == "not-started"
+        assert "SYNC" in caught.value.fault.text
+        assert caught.value.fault.remedy
+        await world.driver.stop(False)
+        await world.driver.disarm()
+        world.wire.to_far = None
+        assert not world.unit.motions
+        # What had been lost is not made up for by the next start.
+        await world.rest(200)
+        await world.go(target=-10_000)
+        await world.driver.started()
+        assert (await world.driver.outcome()).state == "done"
+        assert [motion.end_counts for motion in world.unit.motions] == [-10_000]
+
+    run(main)
+
+
+def test_a_stranger_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await world.go(target=400_000)
+        await world.driver.started()
+        await world.until(t0_ns + 1000 * NS_PER_MS)
+        assert world.unit.moving("1")
+        link = await world.wire.open()
+        link.write(MAKE.stop_bytes(config(1)))
+        await world.rest(300)
+        assert not world.unit.moving("1")
+        outcome = await world.driver.outcome()
+        assert outcome.state == "fault"
+        assert "another master" in outcome.reason
+
+    run(main)
+
+
+def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        await world.go()
+        await world.rest(5)
+        link = await world.wire.open()
+        link.write(MAKE.stop_bytes(config(1)))
+        with pytest.raises(DriverFault):
+            await world.driver.started()
+        assert not world.unit.motions
+
+    run(main)
