@@ -272,6 +272,10 @@ class CiaDriver(Driver):
         mover = self._moving()
         if mover.move is not None and mover.move.lowered.drive is not None:
             raise CannotDo("busy", "a step drives an output, and all are written together", "wait for its end")
+        if found.loaded:
+            raise CannotDo(
+                "busy", "a set-point waits for its SYNC, and outputs are written with it", "wait for the start"
+            )
         bit = point_bit(number)
         found.outputs = found.outputs | bit if on else found.outputs & ~bit
         found.order(found.control & ~states.NEW_SET_POINT)

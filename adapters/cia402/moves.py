@@ -167,15 +167,13 @@ class Mover:
     def _take_back(self, move: Move) -> None:
         node = self._node
         waits = self._starts.drop(node.number, move.shot)
-        if move.released and not move.shot.fired.done():
-            # Its instant is not over; the drive gets nothing new from it.
-            move.shot.held.pop(node.number, None)
         self._passive(move)
         if waits:
-            # The SYNC that takes it finds what the drive does anyway.
-            node.bus.send(*node.orders(node.control & ~states.NEW_SET_POINT))
-            self._starts.flush()
-        node.loaded = False
+            # Whatever SYNC takes it finds what the drive was told last; until then every order overwrites it.
+            node.order(node.control & ~states.NEW_SET_POINT)
+            node.loaded = not self._starts.flush()
+        else:
+            node.loaded = False
 
     def _passive(self, move: Move) -> None:
         """The driven output is passive, now and when its time is over."""

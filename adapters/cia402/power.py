@@ -103,7 +103,8 @@ class Power:
         node.stops += 1
         node.outputs = self._released()
         if not node.mapped:
-            return node.bus.send_stop(node.number, [quick_stop_by_sdo(node.number)])
+            waiting = node.at_sync(states.QUICK_STOP, self._passive_outputs)
+            return node.bus.send_stop(node.number, [waiting, quick_stop_by_sdo(node.number)])
         # What is not enabled does not move, and a halt would enable it.
         moving = node.state in (State.ENABLED, State.QUICK_STOP)
         control = states.QUICK_STOP if abort or node.state is State.QUICK_STOP else states.ENABLE | states.HALT

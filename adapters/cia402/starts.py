@@ -77,11 +77,13 @@ class Starts:
             self._over(shot, None)
         return waiting
 
-    def flush(self) -> None:
-        """Have what waits in a drive taken now, while no start of others would be caused by it."""
+    def flush(self) -> bool:
+        """Have what waits in a drive taken now; not if that would start others."""
         self._sweep()
-        if not any(shot.sent for shot in self._shots):
-            self._bus.send(SYNC)
+        if any(shot.sent for shot in self._shots):
+            return False
+        self._bus.send(SYNC)
+        return True
 
     def lost(self) -> None:
         """The link is closed."""

@@ -6,7 +6,7 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
-from adapters.contract import CannotDo, DriverFault
+from adapters.contract import CannotDo, DriverFault, JogMove
 from orchestrator.clock.base import NS_PER_MS
 
 
@@ -151,3 +151,27 @@ def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
         assert not world.unit.motions
 
     run(main)
+
+
+def test_one_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_sync() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = world.clock.now_ns() + 400 * NS_PER_MS
+        for number in range(2):
+            await world.arm(number, 20_000, t0_ns)
+        for driver in world.drivers:
+            await driver.go()
+        await world.rest(5)
+        with pytest.raises(CannotDo) as caught:
+            await world.drivers[0].set_output(1, True)
+        assert caught.value.refusal.code == "busy"
+        await world.drivers[0].stop(False)
+        await world.rest(50)
+        await world.drivers[0].jog("a", JogMove(10_000, 100_000, None))
+        await world.drivers[1].started()
+        await world.drivers[1].outcome()
+        # It had been told to halt, by a word that may still have waited for that SYNC.
+        assert world.units[0].velocity("1") == pytest.approx(10_000, rel=1e-3)
+        await world.drivers[0].stop(False)
+
+    run(main, count=2)

@@ -1,0 +1,78 @@
+"""Six CiA 402 drives on two buses as a fleet: coordinator, adapters and simulators, judged by the simulators' truth."""
+
+from typing import Any
+
+from cluster.worlds import job, outcome, run_fleet
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
+
+NAMES = [f"d{number}" for number in range(6)]
+
+
+def fleet() -> Fleet:
+    def controller(number: int) -> dict[str, Any]:
+        return {
+            "adapter": "cia402",
+            "link": {"kind": "can", "interface": "socketcan", "channel": f"can{number % 2}", "unit": 10 + number},
+            "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
+            "axes": {
+                "x": {
+                    "motors": ["1"],
+                    "unit": "mm",
+                    "scale": 1000,
+                    "soft_limits": {"min": "-10 mm", "max": "200 mm"},
+                    "limits": {"velocity": 50, "acceleration": 200},
+                    "homing": {"method": "home_switch_negative", "speed": 10},
+                }
+            },
+            "simulate": {"options": {"home_switch": [-3000, -2000]}, "drift_ppm": 20 * number},
+        }
+
+    controllers = {f"d{number}": controller(number) for number in range(6)}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "buses", "controllers": controllers})
+
+
+def move(to: int) -> Any:
+    return job("[{do: move, to: {" + ", ".join(f"{name}.x: {to + i}" for i, name in enumerate(NAMES)) + "}}]")
+
+
+PREPARE = job(f"[{{do: enable, axes: [{', '.join(NAMES)}]}}, {{do: home}}]")
+
+
+def test_two_buses_home_and_start_together_with_a_verdict_that_holds_the_truth() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        prepared = await outcome(virtual, PREPARE)
+        assert prepared.state == "done", prepared.reason
+        for to in (10, 60):
+            before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+            report = await outcome(virtual, move(to))
+            assert report.state == "done", report.reason
+            starts = {name: each.motions[before[name]].start_ns for name, each in virtual.controllers.items()}
+            for bus in (0, 1):
+                of_bus = [start_ns for name, start_ns in starts.items() if int(name[1:]) % 2 == bus]
+                assert max(of_bus) - min(of_bus) <= 0.15 * NS_PER_MS
+            skew_ns = max(starts.values()) - min(starts.values())
+            step = report.steps[0]
+            assert step.start_skew is not None
+            assert step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+        stand = {name: round(each.position("1")) for name, each in virtual.controllers.items()}
+        assert stand == {name: 1000 * (60 + number) for number, name in enumerate(NAMES)}
+
+    run_fleet(main, fleet())
+
+
+def test_a_drive_that_is_switched_off_ends_the_step_of_all() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        assert (await outcome(virtual, PREPARE)).state == "done"
+        virtual.clock.call_at_ns(
+            virtual.clock.now_ns() + 3 * NS_PER_S, lambda: virtual.controllers["d4"].set_power(False)
+        )
+        report = await outcome(virtual, move(190))
+        assert report.state != "done"
+        await sleep_ns(virtual.clock, 3 * NS_PER_S)
+        assert not any(each.moving("1") for each in virtual.controllers.values())
+        assert all(each.position("1") < 180_000 for each in virtual.controllers.values())
+
+    run_fleet(main, fleet())
