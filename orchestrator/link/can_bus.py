@@ -4,6 +4,7 @@ Every node is a CAN controller of its own with its error counters (ISO 11898-1).
 becomes free arbitrate by their identifiers; the winner takes as long as its own bits do, stuff bits included.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -19,6 +20,8 @@ from orchestrator.link.can import (
     ERROR_RESTARTED,
     FIXED_BITS,
     INTERMISSION_BITS,
+    STUFFED_BITS,
+    STUFFED_BITS_EXTENDED,
     CanFrame,
 )
 
@@ -34,33 +37,48 @@ RECOVERY_BITS = 128 * 11
 _POLYNOMIAL = 0x4599
 
 
+def _crc_table() -> list[int]:
+    table: list[int] = []
+    for byte in range(256):
+        crc = byte << 7
+        for _ in range(8):
+            crc = crc << 1 ^ (_POLYNOMIAL if crc & 0x4000 else 0)
+        table.append(crc & 0x7FFF)
+    return table
+
+
+_CRC = _crc_table()
+_RUN = re.compile("0+|1+")
+
+
 @lru_cache(maxsize=8192)
 def exact_bits(frame: CanFrame) -> int:
     """Bits of `frame` on the bus with the stuff bits that it has, and the intermission behind it."""
-    bits = _stuffable(frame)
-    run, last, stuffed = 0, -1, 0
-    for bit in bits:
-        run = run + 1 if bit == last else 1
-        last = bit
-        if run == 5:
-            stuffed, run, last = stuffed + 1, 1, 1 - bit
+    bits = stuffable(frame)
+    stuffed = carried = 0
+    for run in _RUN.findall(bits):
+        # The bit that is stuffed in behind five equal ones is the first of the next run.
+        length = len(run) + carried
+        stuffed += length // 5
+        carried = length % 5 == 0
     return len(bits) + stuffed + FIXED_BITS
 
 
-def _stuffable(frame: CanFrame) -> list[int]:
-    """Start of frame to the end of the CRC."""
+def stuffable(frame: CanFrame) -> str:
+    """Start of frame to the end of the CRC, as zeros and ones."""
     length = len(frame.data)
     if frame.extended:
-        words = [(0, 1), (frame.id >> 18, 11), (0b11, 2), (frame.id & 0x3FFFF, 18), (frame.rtr, 1), (0, 2), (length, 4)]
+        word = (frame.id >> 18) << 20 | 0b11 << 18 | frame.id & 0x3FFFF
+        word, width = (word << 1 | frame.rtr) << 6 | length, STUFFED_BITS_EXTENDED - 15
     else:
-        words = [(0, 1), (frame.id, 11), (frame.rtr, 1), (0, 2), (length, 4)]
+        word, width = (frame.id << 1 | frame.rtr) << 6 | length, STUFFED_BITS - 15
     if not frame.rtr:
-        words += [(byte, 8) for byte in frame.data]
-    bits = [word >> place & 1 for word, width in words for place in reversed(range(width))]
+        word, width = word << 8 * length | int.from_bytes(frame.data, "big"), width + 8 * length
     crc = 0
-    for bit in bits:
-        crc = (crc << 1 & 0x7FFF) ^ (_POLYNOMIAL if bit ^ (crc >> 14) else 0)
-    return bits + [crc >> place & 1 for place in reversed(range(15))]
+    # Zeros in front change nothing: the CRC begins with 0.
+    for byte in word.to_bytes((width + 7) // 8, "big"):
+        crc = crc << 8 & 0x7FFF ^ _CRC[crc >> 7 ^ byte]
+    return f"{word << 15 | crc:0{width + 15}b}"
 
 
 def _rank(frame: CanFrame) -> int:
@@ -74,7 +92,8 @@ def _rank(frame: CanFrame) -> int:
 class CanNode:
     """One CAN controller on the bus. Made by `MemoryCanBus.attach`.
 
-    by_identifier: of its waiting frames the one with the lowest identifier is sent first, not the oldest.
+    by_identifier: of its waiting frames the one with the lowest identifier is sent first, not the oldest. accepts: the
+    identifiers that its acceptance filter lets through; None: all.
     """
 
     _bus: "MemoryCanBus"
@@ -89,6 +108,7 @@ class CanNode:
     waiting: list[CanFrame] = field(default_factory=list[CanFrame])
     silent_until_ns: int = 0
     parked: bool = False
+    accepts: frozenset[int] | None = None
 
     @property
     def state(self) -> NodeState:
@@ -277,13 +297,16 @@ class MemoryCanBus:
         self.frames += 1
         for node in senders:
             node.waiting.remove(frame)
-            node.count(transmit=-1)
+            if node.transmit_errors:
+                node.count(transmit=-1)
             self._suspend(node)
         for listener in self._listeners:
             listener(frame, begin_ns, end_ns)
         for node in [each for each in self._nodes if each.hears and each not in senders]:
-            node.count(receive=-1)
-            node.receive(frame)
+            if node.receive_errors:
+                node.count(receive=-1)
+            if node.accepts is None or frame.id in node.accepts:
+                node.receive(frame)
 
     def _destroyed(self, senders: list[CanNode]) -> None:
         for node in list(self._nodes):

@@ -65,7 +65,9 @@ class _Incoming(_Pdo):
 
 
 class Pdos:
-    """All PDOs of one drive. send: puts a frame on the bus. emergency: sends an EMCY with this code."""
+    """All PDOs of one drive. send: puts a frame on the bus. emergency: sends an EMCY with this code.
+    other_identifiers: those of the frames that are listened to have changed.
+    """
 
     def __init__(
         self,
@@ -73,11 +75,13 @@ class Pdos:
         time: DeviceTime,
         send: Callable[[CanFrame], None],
         emergency: Callable[[int], None],
+        other_identifiers: Callable[[], None],
     ) -> None:
         self._dictionary = dictionary
         self._time = time
         self._send = send
         self._emergency = emergency
+        self._other_identifiers = other_identifiers
         self._running = False
         self._incoming = [_Incoming(0x1400 + n, 0x1600 + n) for n in range(COUNT)]
         self._outgoing = [_Outgoing(0x1800 + n, 0x1A00 + n) for n in range(COUNT)]
@@ -159,6 +163,7 @@ class Pdos:
             pdo.held = None
         elif isinstance(pdo, _Outgoing):
             self._arm_event_timer(pdo)
+        self._other_identifiers()
 
     # Life
 
@@ -180,6 +185,10 @@ class Pdos:
             pdo.waiting = pdo.event = None
 
     # From the bus
+
+    def identifiers(self) -> set[int]:
+        """Of the frames that may be for one of the PDOs."""
+        return {pdo.id for pdo in (*self._incoming, *self._outgoing) if pdo.on}
 
     def receive(self, frame: CanFrame) -> None:
         """A frame that may be for one of the PDOs."""

@@ -21,6 +21,8 @@ OFF, BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = -1, 0, 4, 5, 127
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL, _RESET_NODE, _RESET_COMMUNICATION = 1, 2, 0x80, 0x81, 0x82
 _NOBODY = 0x8000_0000
+_PRODUCES = 0x4000_0000
+"""In 0x1005: the node is to send SYNC itself, which this drive can not."""
 _ID = 0x7FF
 _SAVE, _LOAD = 0x6576_6173, 0x6461_6F6C
 _NOT_KEPT = (0x1003, 0x1010, 0x1011, 0x1013, 0x6040)
@@ -52,7 +54,9 @@ class Station:
         self._kept = dict(self._delivered)
         self.can = bus.attach(self._hear, self._trouble, bitrate=options.bitrate, by_identifier=True)
         self.can.connect(False)
-        self.pdos = Pdos(self.dictionary, time, self.can.send, lambda code: self.emergency(code, _COMMUNICATION))
+        self.pdos = Pdos(
+            self.dictionary, time, self.can.send, lambda code: self.emergency(code, _COMMUNICATION), self._filter
+        )
         phase_ns = draw.randrange(options.cycle_us * NS_PER_US)
         self.drive = Drive(self.dictionary, time, options, phase_ns, self.emergency, self.changed)
         self._sdo = SdoServer(self.dictionary, self._answer, self._watch_transfer)
@@ -102,6 +106,7 @@ class Station:
         """The boot-up message ends every start of communication."""
         self.state = PRE_OPERATIONAL
         self._toggle = 0
+        self._filter()
         self.can.send(CanFrame(0x700 + self.node, b"\0"))
         self._restart_heartbeat(self.dictionary.get(0x1017))
 
@@ -182,13 +187,26 @@ class Station:
         if frame.id == 0:
             if len(frame.data) == 2 and frame.data[1] in (0, self.node):
                 self._command(frame.data[0])
-        elif frame.id == self.dictionary.get(0x1005) & _ID and not frame.rtr:
+        elif frame.id == self._sync_id():
             if self.state == OPERATIONAL:
                 self.pdos.sync_incoming()
                 self.drive.sync()
                 self.pdos.sync_outgoing()
         elif self.state == OPERATIONAL:
             self.pdos.receive(frame)
+
+    def _sync_id(self) -> int:
+        return self.dictionary.get(0x1005) & _ID
+
+    def _filter(self) -> None:
+        """Set the acceptance filter of the CAN controller: what is for others does not reach the firmware."""
+        own = {0, self._sync_id(), 0x600 + self.node, 0x700 + self.node}
+        watched = {0x700 + (self.dictionary.get(0x1016, sub) >> 16 & 0x7F) for sub in (1, 2)}
+        self.can.accepts = frozenset(own | watched | self.pdos.identifiers())
+
+    def _take_filtered(self, index: int, sub: int, value: int) -> None:
+        self.dictionary.put(index, sub, value)
+        self._filter()
 
     # To the bus
 
@@ -289,10 +307,19 @@ class Station:
         writes[0x1017, 0] = self._restart_heartbeat
         writes[0x1003, 0] = self._clear_history
         for sub in (1, 2):
-            writes[0x1016, sub] = lambda _, sub=sub: self._drop(f"consumer{sub}")
-        writes[0x1005, 0] = _require_consumer
+            writes[0x1016, sub] = lambda value, sub=sub: self._watch_other(sub, value)
+        writes[0x1005, 0] = self._new_sync
         reads[0x1013, 0] = self._microseconds
         writes[0x1013, 0] = self._set_microseconds
+
+    def _watch_other(self, sub: int, value: int) -> None:
+        self._drop(f"consumer{sub}")
+        self._take_filtered(0x1016, sub, value)
+
+    def _new_sync(self, value: int) -> None:
+        if value & _PRODUCES:
+            raise Abort(aborts.RANGE)
+        self._take_filtered(0x1005, 0, value)
 
     def _save(self, signature: int) -> None:
         if signature != _SAVE:
@@ -322,9 +349,3 @@ def _key(name: str) -> tuple[int, int]:
     """`6091:1` as index and sub-index."""
     index, _, sub = name.partition(":")
     return int(index, 16), int(sub or "0", 16)
-
-
-def _require_consumer(value: int) -> None:
-    """The drive does not produce SYNC."""
-    if value & 0x4000_0000:
-        raise Abort(aborts.RANGE)
