@@ -109,7 +109,7 @@ def tell_accepted(entry: "QueueEntry") -> None:
     """Say that a job is in the queue, and when it begins if it has a time."""
     console.print(f"job {entry.id} is accepted", highlight=False)
     for line in entry_lines(entry):
-        console.print(f"  {line}", highlight=False, markup=False)
+        console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
 
 
 def entry_lines(entry: "QueueEntry") -> list[str]:
