@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
+from adapters.cia402 import eds, startup, states
 from adapters.cia402 import objects as o
-from adapters.cia402 import startup, states
 from adapters.cia402.bus import SHARED, Bus
 from adapters.cia402.costs import costs
 from adapters.cia402.fleetaxes import POINTS, POSITION_MAX, node, only_axis, passive_outputs, ramp_s
@@ -88,6 +88,8 @@ class CiaDriver(Driver):
         hand = self._hand = Hand(self._config, self._options, found, power, lambda: mover.move is not None)
         mover.busy = lambda: hand.homing or hand.jogging
         identity = await startup.identify(found, self._options.boot_ms)
+        if self._options.eds is not None:
+            await startup.compare_product(found, self._product(self._options.eds))
         self._stranger = await startup.take_over(found, self._starts, self._options, self._pdos)
         self._boots = found.boots
         return identity
@@ -98,6 +100,12 @@ class CiaDriver(Driver):
         fresh = Node(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
         await self._bus.attach(self._number, fresh, self._setup.open_link)
         self._node, self._power = fresh, Power(fresh, passive_outputs(self._config))
+
+    def _product(self, path: str) -> eds.Product:
+        try:
+            return eds.read(path, self._pdos)
+        except ValueError as error:
+            raise DriverFault("config-mismatch", str(error), "correct `options.eds`, or leave it out") from None
 
     async def configure(self) -> None:
         found = self._connected()

@@ -2,11 +2,12 @@
 
 from pydantic import BaseModel
 
-from adapters.cia402 import fleetaxes, states
+from adapters.cia402 import eds, fleetaxes, states
 from adapters.cia402.bus import RPDO
 from adapters.cia402.driver import CiaDriver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Options
+from adapters.cia402.pdo import pdos
 from adapters.cia402.power import quick_stop_by_sdo
 from adapters.contract import Setup
 from orchestrator.link.can import CanFrame, encode
@@ -25,7 +26,10 @@ class Cia402:
         return Options
 
     def check(self, config: Controller) -> None:
-        fleetaxes.check(config, Options.model_validate(config.options))
+        options = Options.model_validate(config.options)
+        fleetaxes.check(config, options)
+        if options.eds is not None:
+            eds.read(options.eds, pdos(options, outputs=bool(config.outputs)))
 
     def driver(self, setup: Setup) -> CiaDriver:
         options = setup.options

@@ -36,6 +36,8 @@ class Obj:
 DEVICE_TYPE = Obj(0x1000, 0, 32, "device type")
 ERROR_REGISTER = Obj(0x1001, 0, 8, "error register")
 HEARTBEAT = Obj(0x1017, 0, 16, "producer heartbeat time")
+VENDOR = Obj(0x1018, 1, 32, "vendor-ID")
+PRODUCT = Obj(0x1018, 2, 32, "product code")
 SERIAL = Obj(0x1018, 4, 32, "serial number")
 DEVICE_NAME = Obj(0x1008, 0, 0, "manufacturer device name")
 SOFTWARE = Obj(0x100A, 0, 0, "manufacturer software version")

@@ -18,6 +18,9 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    eds: str | None = Field(
+        default=None, description="The drive's EDS file: compared with the drive, and with what the adapter needs."
+    )
     velocity_units: Rational = Field(
         default=Fraction(1), description="Units of 6081h and 6099h that make one count per second."
     )

@@ -5,6 +5,7 @@ from fractions import Fraction
 from adapters.cia402 import objects as o
 from adapters.cia402 import pdo
 from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START
+from adapters.cia402.eds import Product
 from adapters.cia402.fleetaxes import only_axis, units
 from adapters.cia402.node import OPERATIONAL, Node
 from adapters.cia402.objects import Obj
@@ -49,6 +50,18 @@ async def identify(node: Node, boot_ms: int) -> Identity:
         firmware=await _text(node, o.SOFTWARE),
         serial="" if not serial else f"{serial}",
     )
+
+
+async def compare_product(node: Node, wanted: Product) -> None:
+    """Raises `DriverFault` when the EDS file is that of another product; what it does not say is not compared."""
+    for obj, number in ((o.VENDOR, wanted.vendor), (o.PRODUCT, wanted.product)):
+        found = await _if_there(node, obj)
+        if number is not None and found is not None and found != number:
+            raise _mismatch(
+                node,
+                f"{obj} is {found:#010x}, its EDS file is for {number:#010x}",
+                "give the drive's own file in `options.eds`, or leave it out",
+            )
 
 
 async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[pdo.Pdo, ...]) -> bool:

@@ -1,11 +1,15 @@
 """What goes wrong with drives and their bus is said in words, and nothing goes on that should not."""
 
-import pytest
-from unit.adapters.cia402_bench import Drives, run
+from pathlib import Path
 
+import pytest
+from unit.adapters.cia402_bench import Drives, config, run
+
+from adapters.cia402 import MAKE
 from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import CanFrame
+from sim import cia402
 
 
 def test_a_following_error_in_a_move_is_said_in_words_and_can_be_reset() -> None:
@@ -273,3 +277,43 @@ def test_a_fault_just_before_the_start_is_said_by_its_emergency() -> None:
         assert not world.unit.motions
 
     run(main)
+
+
+_EDS = Path(cia402.__file__).with_name("drive.eds")
+
+
+def test_the_drives_own_eds_file_is_taken() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+
+    run(main, options={"eds": str(_EDS)})
+
+
+def test_the_eds_file_of_another_product_is_found_out(tmp_path: Path) -> None:
+    other = tmp_path / "other.eds"
+    other.write_text(_EDS.read_text().replace("ProductNumber=0x00000402", "ProductNumber=0x00000777"))
+
+    async def main(world: Drives) -> None:
+        with pytest.raises(DriverFault) as caught:
+            await world.driver.connect()
+        assert caught.value.fault.code == "config-mismatch"
+        assert "0x00000777" in caught.value.fault.text
+
+    run(main, options={"eds": str(other)})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[6062]", "[5062]", "no position demand value"),
+        ("[DeviceInfo]", "rubbish [DeviceInfo", "can not be read"),
+        ("", "", "can not be read"),
+    ],
+)
+def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: str, new: str, words: str) -> None:
+    other = tmp_path / "other.eds"
+    if old:
+        text = _EDS.read_text()
+        other.write_text(new + "\n" + text if words != "no position demand value" else text.replace(old, new))
+    with pytest.raises(ValueError, match=words):
+        MAKE.check(config(1, {"eds": str(other)}))
