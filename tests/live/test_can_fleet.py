@@ -1,0 +1,83 @@
+"""Two CiA 402 drives on one bus as a user runs them: adapter, link, slcan, simulators, guardian. The truth judges."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from children import wait_until
+from fleet import RunningFleet, margin_s
+
+pytestmark = pytest.mark.live
+
+FLEET = """
+schema: tutti.fleet/1
+fleet: demo
+controllers:
+  left:
+    adapter: cia402
+    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, unit: 3}
+    axes: {a: &axis {motors: ["1"], unit: mm, scale: 1000, limits: {velocity: 80, acceleration: 400}, homing: {method: "37"}}}
+    inputs: {lit: {number: 1}}
+    simulate: {decode_us: 300, drift_ppm: 20}
+  right:
+    adapter: cia402
+    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, unit: 4}
+    axes: {b: *axis}
+    outputs: {lamp: {number: 2}}
+    simulate: {decode_us: 300, drift_ppm: -30}
+wiring:
+  - {from: right.lamp, to: [left.lit]}
+"""
+READY = [{"do": "enable", "axes": ["left", "right"]}, {"do": "home"}]
+
+# What the guardian needs to notice, to open the bus in a process of its own, and to stop; a busy machine included.
+STOPPED_S = 4.0
+
+
+def note(name: str, value: object) -> None:
+    """Shown by `pytest -rP`."""
+    sys.stdout.write(f"{name}: {value}\n")
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[RunningFleet]:
+    file = tmp_path / "can.fleet.yaml"
+    file.write_text(FLEET)
+    fleet = RunningFleet(tmp_path, file)
+    try:
+        yield fleet.started()
+    finally:
+        fleet.close()
+
+
+def test_one_job_moves_both_drives_and_the_report_covers_what_they_did(fleet: RunningFleet) -> None:
+    report = fleet.run([*READY, {"do": "move", "to": {"left.a": 30, "right.b": -20}}])
+    assert report.state == "done", report.reason
+    step = report.steps[-1]
+    starts = [
+        entry["start_ns"] for name in ("left", "right") for entry in fleet.truth(name) if entry["event"] == "start"
+    ]
+    ends = {name: fleet.truth(name)[-1]["end_counts"] for name in ("left", "right")}
+    assert ends == {"left": 30_000.0, "right": -20_000.0}
+    assert len(starts) == 2
+    assert step.start_skew is not None
+    assert step.start_skew.at_least_ns <= abs(starts[0] - starts[1]) <= step.start_skew.at_most_ns
+    lit = fleet.run([{"do": "output", "output": "right.lamp", "value": True}])
+    assert lit.state == "done", lit.reason
+    wait_until(lambda: fleet.status()["left"].inputs["lit"], "the wire between the drives")
+
+
+def test_the_guardian_stops_a_bus_whose_adapter_host_is_killed(fleet: RunningFleet) -> None:
+    report = fleet.run(READY)
+    assert report.state == "done", report.reason
+    fleet.submit([{"do": "move", "to": {"left.a": 400, "right.b": 400}, "speed": 0.1}])
+    wait_until(lambda: fleet.starts("left") + fleet.starts("right") == 2, "both move")
+    killed_ns = fleet.kill("adapters.host_process")
+    for name in ("left", "right"):
+        wait_until(lambda name=name: fleet.truth(name)[-1]["event"] == "end", f"{name} comes to rest")
+        last = fleet.truth(name)[-1]
+        note(f"{name} at rest after s", margin_s(killed_ns, last["end_ns"]))
+        assert 0 <= margin_s(killed_ns, last["end_ns"]) < STOPPED_S
+        assert last["end_counts"] < 100_000
+    fleet.works()
