@@ -94,6 +94,12 @@ class Drives:
         await self.driver.go()
         return t0_ns
 
+    def fresh(self) -> CiaDriver:
+        """A driver of the first drive that knows nothing of the others: that of a process that was started anew."""
+        its = config(1)
+        firer = LoopFirer(self.clock)
+        return MAKE.driver(Setup("d1", its, MAKE.options.model_validate({}), self.clock, self.wire.open, firer))
+
     def syncs(self, since_ns: int = 0) -> int:
         """How many SYNCs have been on the bus."""
         return sum(frame.id == SYNC for at_ns, frame in self.frames if at_ns >= since_ns)

@@ -8,7 +8,7 @@ from unit.adapters.cia402_bench import Drives, config, run
 from adapters.cia402 import MAKE
 from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.link.can import CanFrame
+from orchestrator.link.can import FRAME_BYTES, CanFrame, decode, encode
 from sim import cia402
 
 
@@ -317,3 +317,48 @@ def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: 
         other.write_text(new + "\n" + text if words != "no position demand value" else text.replace(old, new))
     with pytest.raises(ValueError, match=words):
         MAKE.check(config(1, {"eds": str(other)}))
+
+
+def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() -> None:
+    commands: list[int] = []
+
+    async def main(world: Drives) -> None:
+        def orders(data: bytes) -> bytes:
+            frame = decode(data)[0] if len(data) == FRAME_BYTES else None
+            if frame is not None and frame.id == 0:
+                commands.append(frame.data[0])
+            return data
+
+        def refuses(data: bytes) -> bytes:
+            frame = decode(data)[0]
+            if frame.id == 0x581 and frame.data[:3] == bytes.fromhex("600014") and 0x80 not in commands:
+                return encode(CanFrame(0x581, bytes.fromhex("8000140122000008")))
+            return data
+
+        world.wire.to_far, world.wire.to_near = orders, refuses
+        await world.ready()
+        assert commands == [0x80, 0x01]
+        await world.go()
+        await world.driver.started()
+        assert (await world.driver.outcome()).state == "done"
+
+    run(main)
+
+
+def test_one_that_comes_anew_stops_a_moving_drive_before_it_asks_anything() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await world.go(target=400_000)
+        await world.driver.started()
+        await world.until(t0_ns + 500 * NS_PER_MS)
+        fresh = world.fresh()
+        assert await fresh.stop_first()
+        await world.rest(300)
+        assert not world.unit.moving("1")
+        await fresh.connect()
+        await fresh.configure()
+        await fresh.enable(["a"], True)
+        assert (await fresh.poll()).axes["a"].enabled
+        await fresh.close()
+
+    run(main)
