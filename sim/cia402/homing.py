@@ -1,4 +1,5 @@
-"""The homing mode: methods 17-30 by switches, 33 and 34 by the index pulse, 35 and 37 where it stands (CiA 402-2)."""
+"""The homing mode: methods 17-30 by switches, 1 and 2 by limit switch and index pulse, 33 and 34 by the index pulse
+alone, 35 and 37 where it stands (CiA 402-2)."""
 
 import math
 from collections.abc import Generator
@@ -32,9 +33,10 @@ _BY_SWITCH: dict[int, tuple[int, int, int]] = {
     30: (-1, 0, -1),
 }
 _BY_LIMIT = {17: -1, 18: 1}
+_BY_LIMIT_AND_INDEX = {1: -1, 2: 1}
 _BY_INDEX = {33: -1, 34: 1}
 _HERE = (35, 37)
-METHODS = (*_BY_LIMIT, *_BY_SWITCH, *_BY_INDEX, *_HERE)
+METHODS = (*_BY_LIMIT_AND_INDEX, *_BY_LIMIT, *_BY_SWITCH, *_BY_INDEX, *_HERE)
 
 _FAST, _SLOW = 1, 2
 """Sub-indices of 0x6099."""
@@ -172,6 +174,8 @@ class HomingMode(Mode):
             return self._here()
         if method in _BY_LIMIT:
             return self._by_limit(_BY_LIMIT[method])
+        if method in _BY_LIMIT_AND_INDEX:
+            return self._by_limit_and_index(_BY_LIMIT_AND_INDEX[method])
         if method in _BY_INDEX:
             return self._by_index(_BY_INDEX[method])
         return self._by_switch(*_BY_SWITCH[method])
@@ -193,6 +197,12 @@ class HomingMode(Mode):
         turns = self.servo.mechanical / every
         place = (math.floor(turns) + 1 if sign > 0 else math.ceil(turns) - 1) * every
         return (yield _Leg(sign, _SLOW, (place,)))
+
+    def _by_limit_and_index(self, sign: int) -> Script:
+        """Out of the limit switch, and on to the next index pulse."""
+        if (yield from self._by_limit(sign)) is None:
+            return None
+        return (yield from self._by_index(-sign))
 
     def _by_switch(self, way: int, end: int, last: int) -> Script:
         """To the home switch, back at a limit switch, and slowly over the end that is meant."""

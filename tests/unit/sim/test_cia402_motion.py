@@ -247,6 +247,8 @@ _LEFT: Mapping[str, object] = {"travel": (-5_000.0, 5_000.0), "home_switch": (No
 @pytest.mark.parametrize(
     ("method", "options", "home", "last"),
     [
+        (1, _CAM, -4_800, 1),
+        (2, _CAM, 4_800, -1),
         (17, _CAM, -5_000, 1),
         (18, _CAM, 5_000, -1),
         (19, _RIGHT, 1_000, -1),
