@@ -75,12 +75,14 @@ class _World:
 
 
 class _Round(NamedTuple):
-    """One start. off_ms: the furthest motion from T0. load: the part of the time that the bus was busy at rest."""
+    """One start. off_ms: the furthest motion from T0. moving, load: the part of the time that the bus was busy while
+    all moved, and at rest."""
 
     skew_ms: float
     off_ms: float
     arm_ms: float
     frames_ms: float
+    moving: float
     load: float
 
 
@@ -99,6 +101,7 @@ def bench_can(rounds: int, seed: int = 11) -> list[CanRow]:
         _row("arming all", [each.arm_ms for each in found], "ms"),
         _row("frames of arming on the bus", [each.frames_ms for each in found], "ms"),
         _row("arming against its frames", [each.arm_ms / each.frames_ms for each in found], "times", ASKED_ARM),
+        _row("bus load by states, all moving", [100 * each.moving for each in found], "%"),
         _row("bus load by states, at rest", [100 * each.load for each in found], "%"),
     ]
 
@@ -172,13 +175,15 @@ async def _step(world: _World, begin: int, end: int) -> _Round:
     await asyncio.gather(*(driver.verify() for driver in drivers))
     await asyncio.gather(*(driver.go() for driver in drivers))
     spans = await asyncio.gather(*(driver.started() for driver in drivers))
+    busy_ns, moving_ns = world.segment.bus.busy_ns, clock.now_ns()
     outcomes = await asyncio.gather(*(driver.outcome() for driver in drivers))
+    moving = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - moving_ns)
     starts = world.starts()
     for span, began, outcome in zip(spans, starts, outcomes, strict=True):
         if outcome.state != "done" or not span["a"].earliest_ns <= began <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark is not as its driver says: {outcome.reason or span}")
     off_ms = max(abs(each - t0_ns) for each in starts) * 1e-6
-    return _Round((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, 0.0)
+    return _Round((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, moving, 0.0)
 
 
 async def _scripted(clock: Clock, seed: int, count: int) -> list[float]:

@@ -1,0 +1,20 @@
+"""What is asked of the lowering for CiA 402 drives, and of the start of a bus of them, in a few moves each."""
+
+from orchestrator.lab.bench_can import bench_can
+from orchestrator.lab.bench_lowering_steppers import bench_stepper
+
+
+def test_lowered_moves_take_what_was_planned_and_are_executed_as_predicted() -> None:
+    found = bench_stepper("cia402", 300, 11)
+    asked = [each for each in found.figures if each.asked]
+    assert asked
+    assert all(each.met for each in asked), asked
+
+
+def test_eight_drives_start_together_and_are_armed_hardly_slower_than_their_frames() -> None:
+    rows = bench_can(8)
+    asked = [row for row in rows if row.asked]
+    assert [row.what for row in asked] == ["start skew, one SYNC", "arming against its frames"]
+    assert all(row.met for row in asked), asked
+    # One after another they are much further apart, so that the figure says something.
+    assert rows[0].p50 > 10 * rows[1].p99
