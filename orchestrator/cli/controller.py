@@ -1,8 +1,16 @@
 """`tutti raw` and `tutti trace`: one controller's link."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import click
 
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
+
+if TYPE_CHECKING:
+    from adapters.link.can_log import LogFormat
+    from orchestrator.link.trace import Entry
+    from orchestrator.model.messages import TraceReply
 
 
 @click.command(epilog='Example: tutti raw gantry "MG TIME" --i-know')
@@ -22,16 +30,36 @@ def raw(controller: str, command: str, i_know: bool, connect: str, fleet: str | 
     with_fleet(connect, fleet, act)
 
 
-@click.command(epilog="Example: tutti trace gantry")
+@click.command(epilog="Examples: tutti trace gantry; tutti trace spindle --format blf --output spindle.blf")
 @click.argument("controller")
+@click.option("--format", "form", type=click.Choice(["asc", "blf", "candump"]), help="Of a log of a CAN bus.")
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="The file of that log.")
 @fleet_options
 @json_option
-def trace(controller: str, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Show the bytes of the last 60 s on CONTROLLER's link: seconds before now, direction, text."""
+def trace(
+    controller: str,
+    form: "LogFormat | None",
+    output: Path | None,
+    connect: str,
+    fleet: str | None,
+    as_json: bool,
+) -> None:
+    """Show the bytes of the last 60 s on CONTROLLER's link: seconds before now, direction, text.
+
+    With --format and --output, write the frames of its CAN bus to a file that other tools read.
+    """
+    if (form is None) != (output is None):
+        raise click.UsageError("--format and --output belong together; give both, or none")
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
         reply = await tutti.trace(controller)
+        if form is not None and output is not None:
+            count = _write_log(reply, form, output, controller)
+            print_json({"frames": count, "file": str(output)}) if as_json else console.print(
+                f"{count} frames in {output}", highlight=False, markup=False
+            )
+            return
         if as_json:
             print_json(reply.to_plain())
             return
@@ -47,3 +75,19 @@ def trace(controller: str, connect: str, fleet: str | None, as_json: bool) -> No
             )
 
     with_fleet(connect, fleet, act)
+
+
+def _write_log(reply: "TraceReply", form: "LogFormat", output: Path, controller: str) -> int:
+    """How many frames there were. Raises `click.ClickException`."""
+    from datetime import datetime
+
+    from adapters.link.can_log import write_log
+
+    entries: list[Entry] = [(at_ns, direction, text.encode("latin-1")) for at_ns, direction, text in reply.entries]
+    origin_s = datetime.fromisoformat(reply.utc).timestamp() - reply.host_ns / 1e9
+    try:
+        return write_log(output, form, entries, origin_s)
+    except ValueError as error:
+        raise click.ClickException(f"{controller} is not on a CAN bus: {error}; trace it without --format") from None
+    except OSError as error:
+        raise click.ClickException(f"{output}: {error.strerror}; choose another file: --output") from None

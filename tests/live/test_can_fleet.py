@@ -1,9 +1,11 @@
 """Two CiA 402 drives on one bus as a user runs them: adapter, link, slcan, simulators, guardian. The truth judges."""
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import can
 import pytest
 from children import wait_until
 from fleet import RunningFleet, margin_s
@@ -66,6 +68,15 @@ def test_one_job_moves_both_drives_and_the_report_covers_what_they_did(fleet: Ru
     lit = fleet.run([{"do": "output", "output": "right.lamp", "value": True}])
     assert lit.state == "done", lit.reason
     wait_until(lambda: fleet.status()["left"].inputs["lit"], "the wire between the drives")
+    file = fleet.folder / "bus.blf"
+    traced = fleet.tutti("trace", "left", "--format", "blf", "--output", str(file))
+    assert traced.returncode == 0, traced.stdout + traced.stderr
+    with can.LogReader(file) as log:
+        syncs = [each for each in log if each.arbitration_id == 0x080]
+    assert syncs
+    assert abs(syncs[-1].timestamp - time.time()) < 60
+    alone = fleet.tutti("trace", "left", "--format", "blf")
+    assert (alone.returncode, "--output" in alone.stderr) == (2, True)
 
 
 def test_the_guardian_stops_a_bus_whose_adapter_host_is_killed(fleet: RunningFleet) -> None:

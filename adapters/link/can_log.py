@@ -1,0 +1,43 @@
+"""What was on a CAN link as a log file that other tools read: Vector's ASC and BLF, candump's."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import can
+
+from orchestrator.link.can import CanFrame, decode
+from orchestrator.link.trace import Entry
+
+LogFormat = Literal["asc", "blf", "candump"]
+_WRITERS = {"asc": can.ASCWriter, "blf": can.BLFWriter, "candump": can.CanutilsLogWriter}
+
+
+def write_log(path: Path, form: LogFormat, entries: Sequence[Entry], origin_s: float) -> int:
+    """Write the frames of a link's trace to `path`; how many there were.
+
+    origin_s: Unix time of host time 0. Raises `ValueError` when the bytes are no frames, `OSError`.
+    """
+    messages = [
+        _message(frame, at_ns / 1e9 + origin_s, direction == "in")
+        for at_ns, direction, data in entries
+        for frame in decode(data)
+    ]
+    with _WRITERS[form](path) as log:
+        for message in messages:
+            log.on_message_received(message)
+    return len(messages)
+
+
+def _message(frame: CanFrame, at_s: float, received: bool) -> can.Message:
+    return can.Message(
+        timestamp=at_s,
+        arbitration_id=frame.id,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.rtr,
+        is_error_frame=frame.error,
+        is_rx=received,
+        dlc=len(frame.data),
+        data=None if frame.rtr else frame.data,
+        channel=0,
+    )
