@@ -38,8 +38,8 @@ def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows where they are.
 
     ←/→ jog the chosen axis in its negative/positive direction while held, ↑/↓ choose the axis, + - 1…9 the speed;
-    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C leaves. An axis that is jogged is leased: jobs wait
-    and other people are refused meanwhile, until 3 s after it has come to rest.
+    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C leaves. An axis that is jogged is leased until
+    3 s after it has come to rest: meanwhile jobs that need it wait, and other people are refused.
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         fail(
