@@ -102,6 +102,7 @@ class Drive:
         writes[0x6086, 0] = writes[0x60C0, 0] = writes[0x607E, 0] = writes[0x6082, 0] = _require_zero
         writes[0x6098, 0] = _require_method
         writes[0x60C2, 1] = _require_positive
+        writes[0x60C2, 2] = _require_time_index
 
     # Controlword and statusword
 
@@ -280,4 +281,10 @@ def _require_zero(value: int) -> None:
 
 def _require_method(value: int) -> None:
     if value not in METHODS:
+        raise Abort(aborts.RANGE)
+
+
+def _require_time_index(value: int) -> None:
+    """From microseconds to seconds."""
+    if not -6 <= value <= 0:
         raise Abort(aborts.RANGE)

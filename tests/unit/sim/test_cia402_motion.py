@@ -441,9 +441,9 @@ def test_factors_scale_velocity_and_acceleration() -> None:
 
 def test_a_mode_or_profile_that_is_not_there_is_refused() -> None:
     bench = CanBench()
-    for index, value, size in ((0x6060, 4, 1), (0x6086, 3, 2), (0x6083, 0, 4)):
+    for index, sub, value, size in ((0x6060, 0, 4, 1), (0x6086, 0, 3, 2), (0x6083, 0, 0, 4), (0x60C2, 2, -7, 1)):
         with pytest.raises(Aborted, match="0x06090030"):
-            bench.write(index, 0, value, size)
+            bench.write(index, sub, value, size)
 
 
 def test_power_off_in_a_move_stops_dead_and_boots_again() -> None:
