@@ -1,6 +1,5 @@
 """Seeds of the fault campaign: for each a fleet of some makes, a fault at a stage of its step, and what came of it."""
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -36,11 +35,6 @@ class Campaign:
     controllers: list[int] = field(default_factory=list[int])
     fleet_s: float = 0.0
     controller_s: float = 0.0
-    cpu_s: float = 0.0
-
-    @property
-    def seeds_per_s(self) -> float:
-        return self.seeds / self.cpu_s if self.cpu_s else 0.0
 
 
 def fleet_of(seed: int) -> Fleet:
@@ -83,7 +77,6 @@ def play(seed: int) -> tuple[Story, Fleet]:
 def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _: None) -> Campaign:
     """Play seeds one after the other; `told` hears of each."""
     found: Campaign | None = None
-    began_s = time.process_time()
     for seed in seeds:
         found = found or Campaign(seed)
         story, fleet = play(seed)
@@ -92,7 +85,6 @@ def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _:
         found.controllers.append(len(fleet.controllers))
         found.fleet_s += story.fleet_s
         found.controller_s += story.fleet_s * len(fleet.controllers)
-        found.cpu_s = time.process_time() - began_s
         if story.violations:
             found.violations[seed] = story.violations
         told(story)
