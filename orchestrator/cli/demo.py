@@ -25,7 +25,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
     type=click.Choice(["two", "all"]),
     default="two",
     show_default=True,
-    help="two: an SMC-4000 and an SHRC-203; all: every make, and a wire that starts them.",
+    help="two: an SMC-4000 and an SHRC-203; all: every make, and a wire that starts some of them.",
 )
 @click.option("--headless", is_flag=True, help="Show nothing while it runs.")
 @json_option

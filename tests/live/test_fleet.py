@@ -96,7 +96,7 @@ def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
     assert report["state"] == "done", report["reason"]
     moves = [step for step in report["steps"] if step["do"] == "move"]
     assert [step["state"] for step in moves] == ["done"] * 3
-    everybody = {"gantry", "feeder", "outlet", "stage", "table", "lift", "tilt"}
+    everybody = {"gantry", "feeder", "outlet", "stage", "table", "lift", "tilt", "arm", "hand"}
     assert set(moves[0]["members"]) == set(moves[0]["budget"]["members"]) == everybody
     assert moves[0]["budget"]["worst_member"] == "table"
     by_line = {name: member["start_class"] for name, member in moves[2]["members"].items()}
