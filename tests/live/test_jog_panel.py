@@ -135,10 +135,16 @@ def test_a_second_panel_is_refused_and_says_by_whom(fleet: RunningFleet, start: 
     holding(first, "right", lambda: "refused" in second.screen, "the second one is refused")
     assert f"in use by {getpass.getuser()} (jog panel)" in second.screen
     assert fleet.truth("gantry")[-1]["event"] == "start"
-    report = fleet.wait(fleet.submit([{"do": "enable", "axes": ["gantry"]}]))
-    assert report.state != "done"
+    job_id = fleet.submit([{"do": "enable", "axes": ["gantry"]}])
+
+    def waits() -> bool:
+        entry = fleet.ask(lambda tutti: tutti.show(job_id)).entry
+        return entry is not None and entry.state == "queued" and "gantry" in entry.reason
+
+    holding(first, "right", waits, "the job waits, and says for what")
     first.release("right")
     at_rest_ns(fleet)
+    assert fleet.wait(job_id).state == "done"
 
 
 def test_what_somebody_stops_waits_for_another_press(fleet: RunningFleet, start: Start) -> None:
