@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 from adapters.cia402.costs import full_frame_ns, sync_ns
 from adapters.cia402.fleetaxes import POSITION_MAX, bounds, only_axis, units
@@ -10,6 +9,8 @@ from adapters.cia402.objects import point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.shape import Trapezoid, fit
 from adapters.contract import CannotDo, Lowered, require_how
+from adapters.patherror import path_error_counts
+from adapters.points import driven
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, StartWay, Term
@@ -88,7 +89,9 @@ def lower(
     return CiaLowered(
         start_class="sync",
         durations_s={} if profile is None else {name: shape.duration_s if shape is not None else 0.0},
-        path_error_counts={} if profile is None else {name: path_error(profile, shape)},
+        path_error_counts={}
+        if profile is None
+        else {name: 0.0 if shape is None else path_error_counts(profile, shape.legs)},
         terms=terms,
         edge=terms if drive is not None else (),
         tick_ns=0.0,
@@ -130,11 +133,7 @@ def _terms(options: Options, bus: BusTimes) -> tuple[Term, ...]:
 def _driven(config: Controller, drive: LineDrive | None) -> Drive | None:
     if drive is None:
         return None
-    point = config.outputs.get(drive.output)
-    if point is None:
-        raise CannotDo(
-            "start-class", f"no line to drive: there is no output {drive.output}", "name the output in the fleet file"
-        )
+    point = driven(config, drive)
     return Drive(drive.output, point_bit(point.number), point.active == "high", drive.hold_ns)
 
 
@@ -172,47 +171,3 @@ def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid 
             f"plan {shape.duration_s:.6g} s or less",
         )
     return shape
-
-
-def path_error(profile: Profile, shape: Trapezoid | None) -> float:
-    """The largest distance between what is executed and the plan, from a common start, in counts.
-
-    Both are parabolas between their knots, so that the extremes of their difference are at knots or at its vertices.
-    One count more, because the drive goes in whole ones.
-    """
-    if shape is None:
-        return 0.0
-    sign = 1 if profile.end_counts > profile.start_counts else -1
-    executed: list[tuple[float, float, float, float]] = []
-    clock_s = position = 0.0
-    for leg in shape.legs:
-        executed.append((clock_s, sign * position, sign * leg.speed, sign * leg.acceleration))
-        clock_s += leg.duration_s
-        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
-    executed.append((clock_s, float(sign * shape.distance), 0.0, 0.0))
-    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
-    planned.append((profile.duration_s, float(sign * shape.distance), 0.0, 0.0))
-    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
-    worst = 0.0
-    for begin_s, end_s in pairwise(knots):
-        mine, plan = _piece(executed, begin_s, end_s), _piece(planned, begin_s, end_s)
-        a = mine[3] - plan[3]
-        v = (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = _at(mine, begin_s) - _at(plan, begin_s)
-        instants = [0.0, end_s - begin_s]
-        if a and 0.0 < -v / a < end_s - begin_s:
-            instants.append(-v / a)
-        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
-    return worst + 1.0
-
-
-def _piece(
-    pieces: list[tuple[float, float, float, float]], begin_s: float, end_s: float
-) -> tuple[float, float, float, float]:
-    middle_s = (begin_s + end_s) / 2
-    return max((each for each in pieces if each[0] <= middle_s), key=lambda each: each[0])
-
-
-def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
-    t = time_s - piece[0]
-    return piece[1] + t * (piece[2] + t * piece[3] / 2)
