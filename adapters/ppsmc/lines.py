@@ -1,10 +1,9 @@
 """Wired lines of a step in the unit's own terms: the input that starts it, the output that it drives."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.contract import CannotDo
+from adapters import points
 from adapters.ppsmc.options import Options
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.fleet import Controller
@@ -56,25 +55,13 @@ class Drive:
 
 def waited_for(config: Controller, wait: LineWait) -> Wait:
     """Raises `CannotDo` for an input that the fleet file does not name."""
-    point = config.inputs.get(wait.input)
-    if point is None:
-        raise CannotDo(
-            "start-class",
-            f"no start by line: the controller has no input {wait.input}; there are {_named(config.inputs)}",
-            "name the input in the fleet file",
-        )
+    point = points.waited_for(config, wait)
     return Wait(wait.input, point.number, point.active == "high", wait.earliest_ns, wait.latest_ns)
 
 
 def driven(config: Controller, drive: LineDrive) -> Drive:
     """Raises `CannotDo` for an output that the fleet file does not name."""
-    point = config.outputs.get(drive.output)
-    if point is None:
-        raise CannotDo(
-            "start-class",
-            f"no line to drive: the controller has no output {drive.output}; there are {_named(config.outputs)}",
-            "name the output in the fleet file",
-        )
+    point = points.driven(config, drive)
     return Drive(drive.output, point.number, point.active == "high", drive.hold_ns)
 
 
@@ -113,7 +100,3 @@ def _sent(options: Options) -> tuple[Term, ...]:
 
 def _firmware(early_us: int, late_us: int) -> Term:
     return Term(name="firmware", earliest_ns=early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
-
-
-def _named(points: Mapping[str, object]) -> str:
-    return ", ".join(points) or "none"

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 from adapters.contract import CannotDo, Lowered, require_how
+from adapters.patherror import path_error_counts
 from adapters.ppsmc.costs import costs
 from adapters.ppsmc.fleetaxes import bounds, motor
 from adapters.ppsmc.lines import Drive, Wait, driven, edge_terms, starting_terms, waited_for, waiting_terms
@@ -75,7 +75,7 @@ def lower(
     return SmcLowered(
         start_class="host" if wait is None else "line",
         durations_s={each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves},
-        path_error_counts={each.name: path_error(profiles[each.name], each, rate) for each in moves},
+        path_error_counts={each.name: _path_error(profiles[each.name], each, rate) for each in moves},
         terms=starting_terms(options, drive is not None) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
         clock_ppm=options.clock_ppm,
@@ -158,40 +158,9 @@ def _move(name: str, axis: Axis, profile: Profile, options: Options, factor: flo
     return AxisMove(name, motor(axis), profile.start_counts, distance, shape)
 
 
-def path_error(profile: Profile, move: AxisMove, rate: float) -> float:
-    """The largest distance between what is executed and the plan, from a common start, in steps.
-
-    Both are parabolas between their knots, so their difference is one too, and its extremes are at knots or at its
-    vertices. One step more, because the unit goes in whole ones. rate: of the unit's crystal against the host's.
-    """
+def _path_error(profile: Profile, move: AxisMove, rate: float) -> float:
+    """rate: of the unit's crystal against the host's."""
     if move.shape is None:
         return 0.0
-    sign = 1 if move.distance > 0 else -1
-    executed: list[tuple[float, float, float, float]] = []
-    clock_s = position = 0.0
-    for leg in move.shape.legs:
-        executed.append((clock_s, position, leg.speed * rate, leg.acceleration * rate * rate))
-        clock_s += leg.duration_s / rate
-        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
-    executed.append((clock_s, float(abs(move.distance)), 0.0, 0.0))
-    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
-    planned.append((profile.duration_s, float(move.distance), 0.0, 0.0))
-    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
-    worst = 0.0
-    for begin_s, end_s in pairwise(knots):
-        mid_s = (begin_s + end_s) / 2
-        mine = max((each for each in executed if each[0] <= mid_s), key=lambda each: each[0])
-        plan = max((each for each in planned if each[0] <= mid_s), key=lambda each: each[0])
-        a = sign * mine[3] - plan[3]
-        v = sign * (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = sign * _at(mine, begin_s) - _at(plan, begin_s)
-        instants = [0.0, end_s - begin_s]
-        if a and 0.0 < -v / a < end_s - begin_s:
-            instants.append(-v / a)
-        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
-    return worst + 1.0
-
-
-def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
-    t = time_s - piece[0]
-    return piece[1] + t * (piece[2] + t * piece[3] / 2)
+    legs = ((each.duration_s / rate, each.speed * rate, each.acceleration * rate * rate) for each in move.shape.legs)
+    return path_error_counts(profile, legs)

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how
+from adapters.patherror import path_error_counts
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
 from adapters.shrc203.interpolation import Steady, Straight, straight_line
@@ -91,7 +91,7 @@ def lower(
     return ShrcLowered(
         start_class="host" if wait is None else "line",
         durations_s={each.name: each.shape.duration_s if each.shape else 0.0 for each in moves},
-        path_error_counts={each.name: path_error(profiles[each.name], each) for each in moves},
+        path_error_counts={each.name: _path_error(profiles[each.name], each) for each in moves},
         terms=terms(options) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
         clock_ppm=options.clock_ppm,
@@ -132,7 +132,7 @@ def _moves(
 
 
 def _worst(profiles: Mapping[str, Profile], moves: tuple[AxisMove, ...]) -> float:
-    return max((path_error(profiles[each.name], each) for each in moves), default=0.0)
+    return max((_path_error(profiles[each.name], each) for each in moves), default=0.0)
 
 
 def _parts(line: Straight, moves: tuple[AxisMove, ...]) -> tuple[AxisMove, ...]:
@@ -216,40 +216,5 @@ def _alone(axis: Axis, move: AxisMove, profile: Profile) -> AxisMove:
     return replace(move, shape=shape)
 
 
-def path_error(profile: Profile, move: AxisMove) -> float:
-    """The largest distance between what is executed and the plan, from a common start, in pulses.
-
-    Both are parabolas between their knots, so their difference is one too, and its extremes are at knots or at its
-    vertices. One pulse more, because the unit goes in whole ones.
-    """
-    if move.shape is None:
-        return 0.0
-    sign = 1 if move.distance > 0 else -1
-    executed: list[tuple[float, float, float, float]] = []
-    clock_s = position = 0.0
-    for leg in move.shape.legs:
-        executed.append((clock_s, position, leg.speed, leg.acceleration))
-        clock_s += leg.duration_s
-        position += leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2)
-    executed.append((clock_s, float(abs(move.distance)), 0.0, 0.0))
-    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
-    planned.append((profile.duration_s, float(move.distance), 0.0, 0.0))
-    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
-    worst = 0.0
-    for begin_s, end_s in pairwise(knots):
-        mid_s = (begin_s + end_s) / 2
-        mine = max((each for each in executed if each[0] <= mid_s), key=lambda each: each[0])
-        plan = max((each for each in planned if each[0] <= mid_s), key=lambda each: each[0])
-        a = sign * mine[3] - plan[3]
-        v = sign * (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = sign * _at(mine, begin_s) - _at(plan, begin_s)
-        instants = [0.0, end_s - begin_s]
-        if a and 0.0 < -v / a < end_s - begin_s:
-            instants.append(-v / a)
-        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
-    return worst + 1.0
-
-
-def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
-    t = time_s - piece[0]
-    return piece[1] + t * (piece[2] + t * piece[3] / 2)
+def _path_error(profile: Profile, move: AxisMove) -> float:
+    return 0.0 if move.shape is None else path_error_counts(profile, move.shape.legs)

@@ -8,11 +8,12 @@ out twice by mistake moves nothing twice.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from math import ceil
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how
+from adapters.patherror import path_error_counts
+from adapters.points import driven, waited_for
 from adapters.smc30.options import Options
 from adapters.smc30.ramp import Shape, fit
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, bounds, only_axis
@@ -119,7 +120,7 @@ def lower(
     return SmcLowered(
         start_class=start_class,
         durations_s={} if profile is None else {axis: shape.duration_s * scale if shape is not None else 0.0},
-        path_error_counts={} if profile is None else {axis: path_error(profile, shape, scale)},
+        path_error_counts={} if profile is None else {axis: _path_error(profile, shape, scale)},
         terms=terms,
         edge=edge if drive is not None else (),
         tick_ns=0.0,
@@ -215,22 +216,14 @@ def _term(name: Literal["host", "wire", "firmware", "input"], early_us: int, lat
 def _awaited(config: Controller, wait: LineWait | None) -> Point | None:
     if wait is None:
         return None
-    point = config.inputs.get(wait.input)
-    if point is None:
-        raise CannotDo(
-            "start-class", f"no start by line: there is no input {wait.input}", "name the input in the fleet file"
-        )
+    point = waited_for(config, wait)
     return Point(wait.input, point.number, point.active == "high")
 
 
 def _driven(config: Controller, drive: LineDrive | None) -> Point | None:
     if drive is None:
         return None
-    point = config.outputs.get(drive.output)
-    if point is None:
-        raise CannotDo(
-            "start-class", f"no line to drive: there is no output {drive.output}", "name the output in the fleet file"
-        )
+    point = driven(config, drive)
     return Point(drive.output, point.number, point.active == "high")
 
 
@@ -268,41 +261,9 @@ def _shape(config: Controller, options: Options, profile: Profile) -> Shape | No
     return shape
 
 
-def path_error(profile: Profile, shape: Shape | None, scale: float) -> float:
-    """The largest distance between what is executed and the plan, from a common start, in steps.
-
-    Both are parabolas between their knots, so that the extremes of their difference are at knots or at its vertices.
-    One step more, because the unit goes in whole ones. scale: host seconds of a second of the unit.
-    """
+def _path_error(profile: Profile, shape: Shape | None, scale: float) -> float:
+    """scale: host seconds of a second of the unit."""
     if shape is None:
         return 0.0
-    sign = 1 if profile.end_counts > profile.start_counts else -1
-    executed: list[tuple[float, float, float, float]] = []
-    clock_s = position = 0.0
-    for leg in shape.legs:
-        length_s, rate, acceleration = leg.duration_s * scale, leg.rate / scale, leg.acceleration / scale**2
-        executed.append((clock_s, position, rate, acceleration))
-        clock_s += length_s
-        position += length_s * (rate + length_s * acceleration / 2)
-    executed.append((clock_s, float(shape.steps), 0.0, 0.0))
-    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
-    planned.append((profile.duration_s, float(sign * shape.steps), 0.0, 0.0))
-    knots = sorted({each[0] for each in executed} | {each[0] for each in planned})
-    worst = 0.0
-    for begin_s, end_s in pairwise(knots):
-        mid_s = (begin_s + end_s) / 2
-        mine = max((each for each in executed if each[0] <= mid_s), key=lambda each: each[0])
-        plan = max((each for each in planned if each[0] <= mid_s), key=lambda each: each[0])
-        a = sign * mine[3] - plan[3]
-        v = sign * (mine[2] + (begin_s - mine[0]) * mine[3]) - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = sign * _at(mine, begin_s) - _at(plan, begin_s)
-        instants = [0.0, end_s - begin_s]
-        if a and 0.0 < -v / a < end_s - begin_s:
-            instants.append(-v / a)
-        worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
-    return worst + 1.0
-
-
-def _at(piece: tuple[float, float, float, float], time_s: float) -> float:
-    t = time_s - piece[0]
-    return piece[1] + t * (piece[2] + t * piece[3] / 2)
+    legs = ((each.duration_s * scale, each.rate / scale, each.acceleration / scale**2) for each in shape.legs)
+    return path_error_counts(profile, legs)

@@ -4,13 +4,13 @@ import math
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo
+from adapters.points import driven, waited_for
 from adapters.yaskawa.options import Options
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, LineWait, StartWay, Term
 
-_NAME_IT = "name it in the fleet file"
 LOCAL_POINTS = 8  # AI takes local inputs only, OB local outputs (L2490, L630)
 
 
@@ -51,10 +51,7 @@ class Drive:
 
 def wait(config: Controller, asked: LineWait) -> Wait:
     """Raises `CannotDo` for an input that the controller does not have, or can not wait for."""
-    point = config.inputs.get(asked.input)
-    if point is None:
-        known = ", ".join(config.inputs) or "none"
-        raise CannotDo("start-class", f"no input {asked.input} to start by; inputs: {known}", _NAME_IT)
+    point = waited_for(config, asked)
     if point.number > LOCAL_POINTS:
         raise CannotDo(
             "start-class",
@@ -66,10 +63,7 @@ def wait(config: Controller, asked: LineWait) -> Wait:
 
 def drive(config: Controller, asked: LineDrive, tick_ns: float) -> Drive:
     """Raises `CannotDo` for an output that the controller does not have."""
-    point = config.outputs.get(asked.output)
-    if point is None:
-        known = ", ".join(config.outputs) or "none"
-        raise CannotDo("start-class", f"no output {asked.output} to drive; outputs: {known}", _NAME_IT)
+    point = driven(config, asked)
     return Drive(asked.output, point.number, int(point.active == "high"), math.ceil(asked.hold_ns / tick_ns))
 
 

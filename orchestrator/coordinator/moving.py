@@ -3,6 +3,7 @@
 import asyncio
 from dataclasses import dataclass, field
 
+from orchestrator.clock.base import NS_PER_US
 from orchestrator.coordinator.permits import Guard
 from orchestrator.coordinator.targets import Resolved
 from orchestrator.model.fleet import Wire
@@ -35,7 +36,7 @@ class LineStart:
         """How the line's driver or a waiter is to start."""
         if member == self.driver:
             return StartWay(lead_ns=lead_ns, drive=LineDrive(output=self.wire.from_.partition(".")[2]))
-        least_ns, most_ns = (each * 1000 for each in self.wire.delay_us)
+        least_ns, most_ns = (each * NS_PER_US for each in self.wire.delay_us)
         wait = LineWait(
             input=self.waiters[member], earliest_ns=self.edge[0] + least_ns, latest_ns=self.edge[1] + most_ns
         )

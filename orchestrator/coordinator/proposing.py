@@ -13,6 +13,7 @@ from orchestrator.coordinator.moving import LineStart, Moving
 from orchestrator.coordinator.targets import Refuse, refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
+from orchestrator.model.fleet import Wire
 from orchestrator.model.job import Job, Move
 from orchestrator.model.messages import Armed, Proposal, Propose, Reply, StartWay, Term
 from orchestrator.model.report import Predicted
@@ -37,7 +38,7 @@ class Proposing:
 
         A line is taken where it makes the predicted start skew smaller, or where the step asks for one.
         """
-        lines = [line for wire in self._view.fleet.wiring if (line := await self._line(wire.from_, moving)) is not None]
+        lines = [line for wire in self._view.fleet.wiring if (line := await self._line(wire, moving)) is not None]
         if step.start == "line" and not lines:
             raise Refuse(
                 "start-class",
@@ -100,11 +101,10 @@ class Proposing:
 
     # Inside
 
-    async def _line(self, output: str, moving: Moving) -> LineStart | None:
-        """The line from `output`, if it leads to members that can wait for it and its driver is there."""
-        wire = next(each for each in self._view.fleet.wiring if each.from_ == output)
+    async def _line(self, wire: Wire, moving: Moving) -> LineStart | None:
+        """The line by `wire`, if it leads to members that can wait for it and its driver is there."""
         # Who drives a line can not wait for it, too.
-        movers = set(moving.movers) - {output.partition(".")[0]}
+        movers = set(moving.movers) - {wire.from_.partition(".")[0]}
         try:
             waiters = {
                 member: name
