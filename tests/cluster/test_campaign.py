@@ -1,4 +1,4 @@
-"""Fleets of all makes, broken at every stage: a hundred seeds hold the invariants, and a seed plays the same again."""
+"""Fleets of all makes, broken at every stage: their seeds hold the invariants, and a seed plays the same again."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from orchestrator.lab.campaign_runs import play, run_campaign
 CHUNK = 14
 
 
-@pytest.mark.parametrize("first", range(0, 112, CHUNK))
+@pytest.mark.parametrize("first", range(0, 42, CHUNK))
 def test_no_seed_violates_an_invariant(first: int) -> None:
     def told(story: Story) -> None:
         assert not story.violations, story.tell()

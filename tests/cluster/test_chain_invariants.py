@@ -7,8 +7,8 @@ from cluster.worlds import job
 from orchestrator.lab.campaign import FAULTS, STAGES, run_seed
 
 MOVE = job("[{do: move, to: {feeder.x: 300, turner.x: 250, outlet.x: 350, gantry.x: 300}, speed: 0.3}]")
-CHUNK = 8
-SEEDS = range(0, 48, CHUNK)
+CHUNK = 7
+SEEDS = range(0, len(FAULTS), CHUNK)
 
 
 @pytest.mark.parametrize("first", SEEDS)

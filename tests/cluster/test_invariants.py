@@ -1,7 +1,5 @@
 """Each member broken at each stage of a step, over many seeds: the invariants hold by the simulators' own truth."""
 
-from collections import Counter
-
 import pytest
 from cluster.worlds import MOVE, PREPARE, demo_fleet
 
@@ -12,7 +10,7 @@ from orchestrator.coordinator.motion import Motion
 from orchestrator.lab.campaign import FAULTS, STAGES, Story, run_seed
 
 CHUNK = 28
-SEEDS = range(0, 560, CHUNK)
+SEEDS = range(0, len(STAGES) * len(FAULTS), CHUNK)
 
 
 def play(seed: int) -> Story:
@@ -27,12 +25,6 @@ def test_no_seed_violates_an_invariant(first: int) -> None:
     for seed in range(first, first + CHUNK):
         story = play(seed)
         assert not story.violations, story.tell()
-
-
-def test_the_seeds_reach_every_stage_with_every_fault() -> None:
-    reached = Counter((seed % len(STAGES), (seed // len(STAGES)) % len(FAULTS)) for seed in range(560))
-    assert len(reached) == len(STAGES) * len(FAULTS)
-    assert min(reached.values()) >= 6
 
 
 # The judgement is worth something only if it notices when the code is broken.
