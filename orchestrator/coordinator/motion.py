@@ -163,7 +163,8 @@ class Motion:
                 await self._proposing.again(moving, step, growth)
             if step.align and growth == 1:
                 await self._await_alignment(moving, step)
-            moving.t0_fleet_ns = self._proposing.start(moving, self._throne.fleet_now_ns() + moving.lead_ns, 0)
+            moving.arming_fleet_ns = self._throne.fleet_now_ns()
+            moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             await self._arm(moving, step)
             await self._judge_frozen(moving, job, step)
             # Commit and go need their time too, and after it a failure must still leave time to disarm.
@@ -320,12 +321,14 @@ class Motion:
             return None
         if event is None:
             return None
-        about = (event.job, event.step) == (moving.job_id, moving.index)
-        return event if about and event.controller in moving.proposals else None
+        about = (event.job, event.step) == (moving.job_id, moving.index) and event.controller in moving.proposals
+        # Members that were armed anew have said before that they are disarmed.
+        stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < moving.arming_fleet_ns
+        return event if about and not stale else None
 
     def _narrowed(self, moving: Moving, member: str, evidence: AxisEvidence) -> AxisEvidence:
-        """A start by its controller's evidence; where that says much less than what the member has promised, e.g.
-        because a serial adapter holds answers back, by both. Where they disagree, something was outside the model."""
+        """With the start by both, where the controller's evidence says much less than what the member has promised,
+        e.g. because a serial adapter holds answers back. Where they disagree, something was outside the model."""
         window = moving.budget.members.get(member) if moving.budget is not None else None
         said_ns = evidence.start.latest_ns - evidence.start.earliest_ns
         if window is None or said_ns <= VAGUE * (window.latest_ns - window.earliest_ns):
@@ -334,7 +337,7 @@ class Motion:
         latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns)
         if earliest_ns > latest_ns:
             return evidence
-        return evidence.model_copy(update={"start": Interval(earliest_ns=earliest_ns, latest_ns=latest_ns)})
+        return evidence.model_copy(update={"modelled": Interval(earliest_ns=earliest_ns, latest_ns=latest_ns)})
 
     def _member_report(self, moving: Moving, member: str) -> MemberReport:
         proposal, armed = moving.proposals[member], moving.armed[member]
@@ -353,7 +356,7 @@ class Motion:
         self, moving: Moving, step: Move, reports: dict[str, MemberReport], failure: tuple[str, str] | None
     ) -> StepReport:
         evidence = [each for report in reports.values() for each in report.evidence.values()]
-        starts = [each.start for each in evidence]
+        starts = [each.judged_start for each in evidence]
         ends = [each.end for each in evidence if each.end is not None]
         complete = len(starts) == len(moving.plan.profiles)
         start_skew = skew(starts, moving.budget) if complete else None

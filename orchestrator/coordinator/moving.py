@@ -45,7 +45,10 @@ class LineStart:
 
 @dataclass(slots=True)
 class Moving:
-    """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long."""
+    """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
+
+    arming_fleet_ns: when the last arming began.
+    """
 
     job_id: str
     index: int
@@ -57,6 +60,7 @@ class Moving:
     lead_ns: int = 0
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None
+    arming_fleet_ns: int = 0
     t0_fleet_ns: int = 0
     events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
     guard: Guard | None = None

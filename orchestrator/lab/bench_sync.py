@@ -228,7 +228,8 @@ async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: 
     missed = not skew.at_least_ns <= start_ns <= skew.at_most_ns
     for name, motion in zip(fleet.controllers, made, strict=True):
         for evidence in step.members[name].evidence.values():
-            missed = missed or not evidence.start.earliest_ns <= motion.start_ns - origin_ns <= evidence.start.latest_ns
+            for said in (evidence.start, evidence.judged_start):
+                missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
     return Trial(
         start_ns,
         max(ends) - min(ends),

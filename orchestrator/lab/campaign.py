@@ -273,6 +273,7 @@ class _Run:
                     self.story.violations.append(f"invariant 8: {name}.{axis} claims a start and did not move")
                     continue
                 self._contain(f"{name}.{axis} start", evidence.start, truth.start_ns - origin_ns)
+                self._contain(f"{name}.{axis} modelled start", evidence.judged_start, truth.start_ns - origin_ns)
                 if evidence.end is not None and truth.end_ns is not None:
                     self._contain(f"{name}.{axis} end", evidence.end, truth.end_ns - origin_ns)
 

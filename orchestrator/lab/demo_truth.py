@@ -37,7 +37,8 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
                 )
                 true.append(start_ns)
                 early_ns, late_ns = (
-                    each + origin_host_ns for each in (evidence.start.earliest_ns, evidence.start.latest_ns)
+                    each + origin_host_ns
+                    for each in (evidence.judged_start.earliest_ns, evidence.judged_start.latest_ns)
                 )
                 if not early_ns <= start_ns <= late_ns:
                     off_ns = start_ns - (early_ns if start_ns < early_ns else late_ns)

@@ -117,12 +117,20 @@ class Interval(Model):
 class AxisEvidence(Model):
     """When an axis really started and ended, by its controller's own evidence.
 
+    modelled: the start where the evidence is vague, narrowed by what the member had promised; true as far as its link
+    and host keep within their models, while `start` does not rest on them.
     settled_s: from the end of the profile until it was seen in its window, for axes with `done: in_position`.
     """
 
     start: Interval
+    modelled: Interval | None = None
     end: Interval | None = None
     settled_s: float | None = None
+
+    @property
+    def judged_start(self) -> Interval:
+        """The start that verdicts rest on."""
+        return self.modelled or self.start
 
 
 class Event(Model):

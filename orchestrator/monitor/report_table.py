@@ -129,5 +129,6 @@ def _budget(budget: Budget | None) -> str:
 
 
 def _around(evidence: AxisEvidence, t0_ns: int) -> str:
-    earliest_ns, latest_ns = evidence.start.earliest_ns - t0_ns, evidence.start.latest_ns - t0_ns
+    start = evidence.judged_start
+    earliest_ns, latest_ns = start.earliest_ns - t0_ns, start.latest_ns - t0_ns
     return f"{earliest_ns / 1e6:+.1f} … {latest_ns / 1e6:+.1f} ms"

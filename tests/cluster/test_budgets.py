@@ -2,10 +2,11 @@
 
 import pytest
 from cluster.test_chain import chain_fleet
-from cluster.worlds import job, outcome, refusal, run_fleet
+from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from orchestrator.client.clocks import clocks
 from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
 
 PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")
 
@@ -58,3 +59,29 @@ def test_every_controllers_clock_can_be_asked_for_and_its_bound_holds_the_rate()
             assert mapping.bound_ns > 0 and mapping.samples > 5
 
     run_fleet(main, chain_fleet())
+
+
+@pytest.mark.parametrize(("decode_us", "kept"), [(1000, True), (7000, False)])
+def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_without_it(
+    decode_us: int, kept: bool
+) -> None:
+    """A serial adapter that holds answers back; and beside it a unit that decodes slower than its make promises."""
+    plain = demo_fleet().model_dump(by_alias=True, mode="json", exclude_none=True)
+    plain["controllers"]["stage"]["simulate"] |= {"hold_ms": 16.0, "decode_us": decode_us}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job("[{do: enable, axes: [stage]}, {do: home, axes: [stage]}]"))
+        starts = []
+        for target in (5, 1, 5, 1):
+            before = len(fleet.controllers["stage"].motions)
+            report = await outcome(fleet, job(f"[{{do: move, to: {{stage.u: {target}}}}}]", max_start_skew="50 ms"))
+            assert report.state == "done", report.reason
+            origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+            true_ns = fleet.controllers["stage"].motions[before].start_ns - origin_ns
+            evidence = report.steps[0].members["stage"].evidence["u"]
+            assert evidence.start.earliest_ns <= true_ns <= evidence.start.latest_ns
+            if evidence.modelled is not None:
+                starts.append(evidence.modelled.earliest_ns <= true_ns <= evidence.modelled.latest_ns)
+        assert starts and all(each is kept for each in starts)
+
+    run_fleet(main, Fleet.model_validate(plain))
