@@ -112,7 +112,9 @@ class ShrcDriver(Driver):
     # A step
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> ShrcLowered:
-        wire = Wire(self._char_ns, self._line_starts, self._costs, self._line_costs)
+        loops = {} if self._unit is None else self._unit.closed_loop
+        closed_loop = frozenset(motor for motor, closed in loops.items() if closed)
+        wire = Wire(self._char_ns, self._line_starts, self._costs, self._line_costs, closed_loop)
         return lower(self._config, self._options, wire, profiles, how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:

@@ -1,4 +1,7 @@
-"""Profiles to lines of the SHRC-203: one prebuffer move an axis, all started by one `G:`, or by an input."""
+"""Profiles to lines of the SHRC-203: a prebuffer move an axis, all started by one `G:`, or by an input.
+
+Where one move can not take the planned time, a second one is loaded behind it while it runs.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,7 +14,8 @@ from adapters.shrc203.fleetaxes import bounds, motor
 from adapters.shrc203.interpolation import Steady, Straight, straight_line
 from adapters.shrc203.lines import Drive, Wait, driven, edge_terms, waited_for, waiting_terms
 from adapters.shrc203.options import Options
-from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Trapezoid, fit
+from adapters.shrc203.pair import Pair, pairs
+from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import StartWay, Term
@@ -27,17 +31,20 @@ _WHY_NOT = {
 _SHORT_ROOM = 0.02
 # An interpolated line must be nearer to the plan by so many pulses: the unit goes in whole ones.
 _NEARER = 0.5
+# A second move is not needed where one alone is so near to the planned duration.
+_ONE_S = 0.2e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
     """What lowering knows of the connection. line_starts: whether axes can wait for an input. line_costs: of steps
-    with a wired line."""
+    with a wired line. closed_loop: motors that settle for a while at the end of a move."""
 
     char_ns: int
     line_starts: bool
     costs: Costs
     line_costs: Costs
+    closed_loop: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +55,34 @@ class AxisMove:
     motor: int
     start_counts: int
     distance: int
-    shape: Trapezoid | Steady | None
+    shape: Trapezoid | Pair | Steady | None
+
+    @property
+    def pieces(self) -> "tuple[AxisMove, ...]":
+        """The moves that the unit makes of it, in their order."""
+        if not isinstance(self.shape, Pair):
+            return (self,)
+        one, two = self.shape.first, self.shape.second
+        sign = 1 if self.distance > 0 else -1
+        first = replace(self, distance=sign * one.distance, shape=one)
+        return first, AxisMove(self.name, self.motor, first.end_counts, sign * two.distance, two)
+
+    @property
+    def end_counts(self) -> int:
+        return self.start_counts + self.distance
 
 
 @dataclass(frozen=True, slots=True)
 class ShrcLowered(Lowered):
-    """What `arm` needs: the moves, the two lines that load and start them, and the lines by wire. straight: the moves
-    are parts of one interpolated line."""
+    """What `arm` needs: the moves, the lines that load and start them, and the lines by wire. firsts: what is loaded by
+    `load`; seconds: what `load_second` loads behind it once it runs. straight: the moves are parts of one interpolated
+    line."""
 
     moves: tuple[AxisMove, ...] = ()
+    firsts: tuple[AxisMove, ...] = ()
+    seconds: tuple[AxisMove, ...] = ()
     load: str = ""
+    load_second: str = ""
     start: str = ""
     wait: Wait | None = None
     drive: Drive | None = None
@@ -83,9 +108,12 @@ def lower(
         require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
-    moves, straight = _moves(config, options, profiles, interpolated=wait is None)
+    moves, straight = _moves(config, options, wire, profiles, interpolated=wait is None)
     running = tuple(each for each in moves if each.shape is not None)
-    load = straight.command if straight is not None else load_line(running) if running else ""
+    firsts = tuple(each.pieces[0] for each in running)
+    seconds = tuple(piece for each in running for piece in each.pieces[1:])
+    load = straight.command if straight is not None else load_line(firsts) if running else ""
+    load_second = load_line(seconds) if seconds else ""
     go = start_line(running) if running else ""
     behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * wire.char_ns if running and wait is None else 0
     return ShrcLowered(
@@ -96,10 +124,13 @@ def lower(
         tick_ns=0.0,
         clock_ppm=options.clock_ppm,
         costs=wire.line_costs if wait is not None or drive is not None else wire.costs,
-        commands=_shown(running, load, go, wait, drive),
+        commands=(*_shown(running, load, go, wait, drive), *([load_second] if seconds else [])),
         edge=() if drive is None else edge_terms(options, behind_ns),
         moves=running,
+        firsts=firsts,
+        seconds=seconds,
         load=load,
+        load_second=load_second,
         start=go,
         wait=wait,
         drive=drive,
@@ -108,7 +139,7 @@ def lower(
 
 
 def _moves(
-    config: Controller, options: Options, profiles: Mapping[str, Profile], interpolated: bool
+    config: Controller, options: Options, wire: Wire, profiles: Mapping[str, Profile], interpolated: bool
 ) -> tuple[tuple[AxisMove, ...], Straight | None]:
     """The part of every axis; of a straight line by the unit's interpolation, where that is nearer to the plan than
     moves of single axes, or these can not be so slow.
@@ -120,7 +151,7 @@ def _moves(
     standing = tuple(each for each in ways.values() if not each.distance)
     line = straight_line(config, options, profiles, [each.name for each in running]) if interpolated else None
     try:
-        alone = tuple(_alone(config.axes[each.name], each, profiles[each.name]) for each in running)
+        alone = tuple(_alone(config.axes[each.name], options, wire, each, profiles[each.name]) for each in running)
     except CannotDo as refused:
         if line is None or refused.refusal.code != "too-slow":
             raise
@@ -195,16 +226,18 @@ def _way(name: str, axis: Axis, profile: Profile) -> AxisMove:
     return AxisMove(name, motor(axis), profile.start_counts, distance, None)
 
 
-def _alone(axis: Axis, move: AxisMove, profile: Profile) -> AxisMove:
+def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Profile) -> AxisMove:
     """The move of an axis by itself. Raises `CannotDo`."""
     limits, wanted_s, way, name = bounds(axis), profile.duration_s, abs(move.distance), move.name
-    shape = fit(way, wanted_s, profile.durations_s[0], limits)
+    shape: Trapezoid | Pair | None = fit(way, wanted_s, profile.durations_s[0], limits)
     if shape is None:
         raise CannotDo(
             "start-rate",
             f"axis {name}: no start speed from {limits.start_min} to {limits.start_max} pls/s is below its speed limit",
             "correct `start_rate`",
         )
+    if move.motor not in wire.closed_loop:  # where the end of the first move is known only when the scale has settled
+        shape = _nearer(shape, way, profile, limits, options)
     # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
     if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
         raise CannotDo(
@@ -214,6 +247,20 @@ def _alone(axis: Axis, move: AxisMove, profile: Profile) -> AxisMove:
             f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
         )
     return replace(move, shape=shape)
+
+
+def _nearer(one: Trapezoid, way: int, profile: Profile, limits: Bounds, options: Options) -> Trapezoid | Pair:
+    """One move, or two where that is off the planned duration; of those that take it, the one that keeps nearest to the
+    plan."""
+
+    def off_s(shape: Trapezoid | Pair) -> float:
+        return abs(shape.duration_s - profile.duration_s)
+
+    if off_s(one) <= _ONE_S:
+        return one
+    found = pairs(way, profile.duration_s, limits, options.handover_us * 1e-6)
+    two = min(found, key=lambda each: path_error_counts(profile, each.legs), default=None)
+    return one if two is None or off_s(two) >= off_s(one) else two
 
 
 def _path_error(profile: Profile, move: AxisMove) -> float:

@@ -34,8 +34,9 @@ class Shrc203:
     def stop_bytes(self, config: Controller) -> bytes:
         """End what is half-typed; stop all, then each axis, because the first is refused where a motor is off.
 
-        A move may wait for an input: it is overwritten first, because what `L:` makes of a standby is not said (L2955).
+        A move may wait for an input, or behind another one: it is overwritten first, because what `L:` makes of that is
+        not said (L2955).
         """
         motors = sorted(fleetaxes.motors(config).values())
-        waiting = [f"MP:{motor}+P0" for motor in motors] if config.inputs else []
+        waiting = [f"MP:{motor}+P0" for motor in motors]
         return "".join(f"{line}\r\n" for line in ("", *waiting, "L:W", *(f"L:{motor}" for motor in motors))).encode()

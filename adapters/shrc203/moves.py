@@ -2,16 +2,18 @@
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from math import ceil, floor
 
-from adapters.contract import CannotDo, DriverFault, Fired, FireOrder, Firer, Outcome, Span
+from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
 from adapters.shrc203.axes import letter
+from adapters.shrc203.loaded import Move
 from adapters.shrc203.lowering import AxisMove, ShrcLowered
 from adapters.shrc203.options import Options
 from adapters.shrc203.output import DrivenOutput
-from adapters.shrc203.replies import REFUSALS, STATUS, AxisStatus, amounts, entries, status
-from adapters.shrc203.session import EOL, Pending, Session
+from adapters.shrc203.pair import Pair
+from adapters.shrc203.replies import REFUSALS, STATUS, amounts, entries, status
+from adapters.shrc203.second import load_second, too_late
+from adapters.shrc203.session import EOL, Session
 from adapters.shrc203.standby import COMPLETION_LATE_NS, Standby
 from adapters.shrc203.status import ERRORS, UNSETTLED, why_stopped
 from adapters.shrc203.unitstate import UnitState
@@ -21,33 +23,6 @@ _LOOK_NS = 50 * NS_PER_MS
 _QUIET_NS = 60 * NS_PER_MS  # nothing is asked so shortly before T0
 _OK_CHARACTERS = len("OK\r\n")
 _DIGIT_CHARACTERS = len("1\r\n")
-
-
-@dataclass(slots=True)
-class Move:
-    """A move that is loaded. output: what it switches. From `go` on it is released, with the order to fire and the
-    places of the answers, of the starting line and of the one that switches. started: span of the start, when known."""
-
-    lowered: ShrcLowered
-    t0_ns: int
-    output: DrivenOutput | None = None
-    released: bool = False
-    order: FireOrder | None = None
-    pending: Pending | None = None
-    switching: Pending | None = None
-    started: Span | None = None
-    stopped_ns: int | None = None
-    taken_back: bool = False
-    seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
-
-    @property
-    def motors(self) -> set[int]:
-        return {each.motor for each in self.lowered.moves}
-
-    @property
-    def waits(self) -> bool:
-        """Whether an input starts it."""
-        return self.lowered.wait is not None and bool(self.lowered.moves)
 
 
 class Mover:
@@ -143,7 +118,7 @@ class Mover:
         if lines:
             self._schedule(move, lines)
         if move.lowered.moves:
-            self._session.owe(move.motors)
+            self._session.owe(move.motors, before=(each.motor for each in move.lowered.seconds))
         move.released = True
 
     def _schedule(self, move: Move, lines: list[str]) -> None:
@@ -193,8 +168,12 @@ class Mover:
             self._output = None
 
     def before_stop(self) -> list[str]:
-        """Lines that go before a stop: what waits for an input has nothing behind it then, whatever ends the wait."""
-        return [f"MP:{motor}+P0" for motor in sorted(self._unit.waiting)]
+        """Lines that go before a stop: what waits for an input, or has a second move to come, has nothing behind it
+        then, whatever ends it."""
+        motors = set(self._unit.waiting)
+        if self.move is not None and self.move.released:
+            motors |= {each.motor for each in self.move.lowered.seconds}
+        return [f"MP:{motor}+P0" for motor in sorted(motors)]
 
     def after_stop(self) -> list[str]:
         """Lines that go behind a stop: the output that a step drives is passive then."""
@@ -305,7 +284,7 @@ class Mover:
             line = await self._session.ask_line("?:MPW", amounts(len(self._unit.controllable)))
             self._require_no_stop(move)
             found = dict(zip(self._unit.controllable, entries(line.text), strict=True))
-            left = [each for each in move.lowered.moves if found[each.motor] == each.distance]
+            left = [each for each in move.lowered.firsts if found[each.motor] == each.distance]
             if not left:
                 seen_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
                 self._unit.waiting = {}
@@ -327,7 +306,7 @@ class Mover:
 
     async def _loaded(self, move: Move) -> bool:
         found = await self._unit.buffers.moves()
-        return all(found[each.motor] == each.distance for each in move.lowered.moves)
+        return all(found[each.motor] == each.distance for each in move.lowered.firsts)
 
     async def _seen_moving(self, move: Move, error: DriverFault) -> int:
         """The answer to the starting line was lost: by when the axes moved, seen otherwise."""
@@ -340,11 +319,13 @@ class Mover:
         raise DriverFault("not-started", f"the axes do not move ({error.fault.text})", error.fault.remedy)
 
     async def outcome(self) -> Outcome:
-        """Wait for the completion lines; look at the unit itself when they do not come, or after a stop."""
+        """Load the second moves, if there are any; wait for the completion lines; look at the unit itself when they do
+        not come, or after a stop."""
         move = self._require()
         if not move.lowered.moves or move.started is None:
             return await self._nothing_moved(move)
         session = self._session
+        unloaded = await self._load_second(move) if move.lowered.seconds else ""
         longest_s = max(move.lowered.durations_s.values())
         look_ns = move.started.latest_ns + self._slow_ns(longest_s) + COMPLETION_LATE_NS
         give_up_ns = look_ns + self._settle_ns
@@ -363,19 +344,18 @@ class Mover:
         ended = {
             name: Span(move.t0_ns, move.t0_ns) for name, seconds in move.lowered.durations_s.items() if seconds == 0.0
         }
-        reasons: list[str] = []
-        error = False
+        reasons = [unloaded] if unloaded else []
+        error = bool(unloaded)
         for each in move.lowered.moves:
             now = move.seen[each.motor]
             if now.busy:
                 error = True
                 what = "does not settle in its in-position range" if now.word & UNSETTLED else "does not come to rest"
                 reasons.append(f"axis {each.name} {what}")
-            arrived = now.counts == each.start_counts + each.distance
+            arrived = now.counts == each.end_counts
             error = error or bool(now.word & ERRORS)
             if not arrived or now.word & ERRORS:
-                why = why_stopped(each.name, now)
-                reasons.append(why or f"axis {each.name} stands at {now.counts}, not at its target")
+                reasons.append(why_stopped(each.name, now) or _astray(each, now.counts))
             # The standby may have had a completion line of its own: there only the look at the unit counts.
             said_ns = None if move.waits else completed.get(each.motor)
             ended[each.name] = self._end(move, each, said_ns, rest_ns, arrived)
@@ -390,6 +370,20 @@ class Mover:
         if move.stopped_ns is not None and not error:
             return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
         return Outcome("fault", ended, "; ".join(reasons))
+
+    async def _load_second(self, move: Move) -> str:
+        """Why the second moves will not run, "" if they will; then all axes are stopped here."""
+
+        def still() -> None:
+            if move.stopped_ns is not None:
+                raise CannotDo("stopped", "stopped before its second move was loaded", "")
+
+        wrong = await load_second(self._unit, move.lowered, still)
+        if move.stopped_ns is not None:
+            return ""
+        if wrong:
+            self.interrupted(self._session.interrupt(*self.before_stop(), *(f"L:{motor}" for motor in move.motors)))
+        return wrong
 
     async def _nothing_moved(self, move: Move) -> Outcome:
         """The end of a step in which the controller only drives a line, if anything."""
@@ -408,8 +402,7 @@ class Mover:
             return
         assert move.started is not None
         for each in move.lowered.moves:
-            quick_ns = floor(move.lowered.durations_s[each.name] * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
-            ended_ns = move.started.earliest_ns + quick_ns
+            ended_ns = move.started.earliest_ns + self._quick_ns(move, each)
             if self._session.completed.get(each.motor, ended_ns) < ended_ns:
                 self._session.owe_again(each.motor)
 
@@ -420,10 +413,15 @@ class Mover:
         seen_ns = rest_ns if completed_ns is None else completed_ns - self._session.wire_ns(_DIGIT_CHARACTERS)
         if not arrived:
             return Span(min(move.started.earliest_ns, seen_ns), seen_ns)
-        duration_s = move.lowered.durations_s[axis.name]
-        earliest_ns = move.started.earliest_ns + floor(duration_s * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
-        latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(duration_s))
+        earliest_ns, latest_ns = move.started.earliest_ns + self._quick_ns(move, axis), seen_ns
+        if not isinstance(axis.shape, Pair):  # how long the unit takes between two moves is not guaranteed
+            latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(move.lowered.durations_s[axis.name]))
         return Span(min(earliest_ns, latest_ns), latest_ns)
+
+    def _quick_ns(self, move: Move, axis: AxisMove) -> int:
+        """The duration of an axis's move by the quickest crystal, and without a pause between two moves."""
+        gap_s = axis.shape.gap_s if isinstance(axis.shape, Pair) else 0.0
+        return floor((move.lowered.durations_s[axis.name] - gap_s) * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
 
     def _slow_ns(self, duration_s: float) -> int:
         """A duration by the slowest crystal."""
@@ -468,7 +466,7 @@ class Mover:
         if straight is not None:
             others = await self._unit.buffers.dangerous(line=straight.held)
         else:
-            others = await self._unit.buffers.dangerous({each.motor: each.distance for each in move.lowered.moves})
+            others = await self._unit.buffers.dangerous({each.motor: each.distance for each in move.lowered.firsts})
         if others:
             raise CannotDo(
                 "not-loaded", f"the prebuffer of axis {letter(others)} does not hold what was loaded", "arm again"
@@ -481,10 +479,18 @@ class Mover:
             )
 
     def _compare(self, move: Move, found: Mapping[int, int | None]) -> None:
-        for each in move.lowered.moves:
+        for each in move.lowered.firsts:
             if found[each.motor] != each.distance:
                 raise CannotDo(
                     "not-loaded",
                     f"axis {each.name}: {found[each.motor]} pulses are loaded instead of {each.distance}",
                     "arm again; was the unit switched off?",
                 )
+
+
+def _astray(axis: AxisMove, counts: int) -> str:
+    """Why an axis is not at its target, by where it stands."""
+    _, *more = axis.pieces
+    if more and counts == more[0].start_counts:
+        return too_late(axis.name, counts)
+    return f"axis {axis.name} stands at {counts}, not at its target"

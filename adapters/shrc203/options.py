@@ -40,6 +40,9 @@ class Options(BaseModel):
     line_start_us: Micro = Field(
         default=1000, description="How long after that the motion of a line start may begin at the most."
     )
+    handover_us: Micro = Field(
+        default=1000, description="How long an axis stands between two moves of which the second was in its prebuffer."
+    )
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for a motion that it has found."
     )

@@ -7,7 +7,7 @@ their replies have their place in the same queue.
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault
@@ -74,6 +74,7 @@ class Session:
         self.owed: set[int] = set()
         self._each: Callable[[int, int], None] | None = None
         self.abandoned = False
+        self._before: set[int] = set()
         self.completed: dict[int, int] = {}
         self.changed = asyncio.Event()
 
@@ -123,10 +124,12 @@ class Session:
         line = await self._exchange(command, DONE)
         return line.text not in REFUSALS
 
-    async def tell_and_hear(self, command: str) -> str:
-        """Give a setting; what the unit has understood of it (`?:CMD`), with nothing said in between."""
+    async def tell_and_hear(self, command: str, still: Callable[[], None] | None = None) -> str:
+        """Like `tell`; what the unit has understood of it (`?:CMD`), with nothing said in between."""
         async with self._turn:
             await self._prepare()
+            if still is not None:
+                still()
             line = await self._once(command, DONE)
             if line.text not in REFUSALS:
                 return (await self._once("?:CMD", COMMAND)).text.upper()
@@ -162,12 +165,14 @@ class Session:
         if pending in self._queue:
             self._queue.remove(pending)
 
-    def owe(self, motors: set[int], each: Callable[[int, int], None] | None = None) -> None:
+    def owe(self, motors: set[int], each: Callable[[int, int], None] | None = None, before: Iterable[int] = ()) -> None:
         """From now on a bare digit is the completion of one of `motors`, and its only one.
 
-        each: called with motor and instant; then more of the same motor are owed, until `owe_nothing`.
+        each: called with motor and instant; then more of the same motor are owed, until `owe_nothing`. before: motors
+        that complete another move before that.
         """
         self.owed = set(motors)
+        self._before = set(before)
         self._each = each
         self.completed = {}
         self.abandoned = False
@@ -324,6 +329,9 @@ class Session:
         if motor in self.owed and self._each is not None:
             self._each(motor, line.at_ns)
             self.changed.set()
+            return True
+        if motor in self.owed and motor in self._before:
+            self._before.discard(motor)
             return True
         if motor in self.owed:
             self.owed.discard(motor)

@@ -79,14 +79,19 @@ class Bounds:
     start_max: int
 
 
+def start_speeds(bounds: Bounds) -> tuple[int, int, int]:
+    """The lowest and the highest S, and the highest F, pls/s."""
+    fastest = min(SPEED_MAX, floor(bounds.speed))
+    return max(1, bounds.start_min), min(bounds.start_max, fastest), fastest
+
+
 def fit(distance: int, duration_s: float, ramp_s: float, bounds: Bounds) -> Trapezoid | None:
     """The trapezoid within `bounds` whose duration is nearest to `duration_s`, then whose ramp is nearest to `ramp_s`.
 
     S, F and R are chosen together: R around the planned ramp, F around what that ramp needs, S for what the rounding
     of F has left. None when no speed that is allowed moves the axis at all.
     """
-    fastest = min(SPEED_MAX, floor(bounds.speed))
-    lowest, highest = max(1, bounds.start_min), min(bounds.start_max, fastest)
+    lowest, highest, fastest = start_speeds(bounds)
     if lowest > highest:
         return None
     search = _Search(distance, duration_s, fastest, bounds.acceleration)

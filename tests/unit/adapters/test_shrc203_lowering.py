@@ -131,7 +131,7 @@ def test_nm_per_pulse_follows_unit_and_scale() -> None:
 
 
 def test_a_guardian_stops_whatever_was_half_typed() -> None:
-    assert MAKE.stop_bytes(controller()) == b"\r\nL:W\r\nL:1\r\n"
+    assert MAKE.stop_bytes(controller()) == b"\r\nMP:1+P0\r\nL:W\r\nL:1\r\n"
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ def slow_controller(**axis: Any) -> Controller:
 
 
 CONFIG = slow_controller()
+LINE_S = hypot(1200, 14) / 95  # an interpolated line goes at whole pulses/s
 
 
 def straight(distances: Mapping[str, int], duration_s: float, ramp_s: float) -> dict[str, Profile]:
@@ -56,13 +57,13 @@ def distance_to_plan(bench: Bench, profiles: Mapping[str, Profile], start_ns: in
     return max(abs(bench.unit.position(NAMES[name]) - way) for name, way in planned.items())
 
 
-@pytest.mark.parametrize("distances", [{"x": 600, "y": -7}, {"x": 500, "y": 9, "z": -300}])
+@pytest.mark.parametrize("distances", [{"x": 1200, "y": -14}, {"x": 1000, "y": 18, "z": -600}])
 def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_claims(
     distances: dict[str, int],
 ) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        profiles = straight(distances, 6.3, 0.001)
+        profiles = straight(distances, hypot(*distances.values()) / 95, 0.001)
         made = lowered(bench, profiles)
         assert made.straight is not None and made.load.startswith("KP:")
         t0_ns = bench.clock.now_ns() + 400 * NS_PER_MS
@@ -73,7 +74,7 @@ def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_c
         started = await bench.driver.started()
         start_ns = bench.unit.motions[0].start_ns
         worst = 0.0
-        for _ in range(60):
+        for _ in range(120):
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
             worst = max(worst, distance_to_plan(bench, profiles, start_ns, bench.clock.now_ns()))
         assert worst <= max(made.path_error_counts.values())
@@ -122,9 +123,12 @@ def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
     ("config", "profiles"),
     [
         (CONFIG, straight({"x": 60_000, "y": -700}, 6.3, 0.1)),  # too fast to be begun without a ramp
-        (CONFIG, {**straight({"x": 600}, 6.3, 0.001), **straight({"y": 7}, 6.3, 0.5)}),  # no straight line
-        (slow_controller(scale=1_000_000, unit="deg"), straight({"x": 600, "y": -7}, 6.3, 0.001)),  # pulses unknown
-        (CONFIG, straight({"x": 600}, 6.3, 0.001)),
+        (CONFIG, {**straight({"x": 1200}, LINE_S, 0.001), **straight({"y": 14}, LINE_S, 0.5)}),  # no straight line
+        (
+            slow_controller(scale=1_000_000, unit="deg"),
+            straight({"x": 1200, "y": -14}, LINE_S, 0.001),
+        ),  # pulses unknown
+        (CONFIG, straight({"x": 1200}, LINE_S, 0.001)),
     ],
 )
 def test_what_is_no_slow_straight_line_in_equal_pulses_goes_by_single_axes(
@@ -142,7 +146,7 @@ def test_what_is_no_slow_straight_line_in_equal_pulses_goes_by_single_axes(
 def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        made = lowered(bench, straight({"x": 600, "y": -7}, 6.3, 0.001))
+        made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
         assert made.straight is not None
         await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
         await bench.driver.verify()
@@ -164,8 +168,8 @@ def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
 def test_a_garbled_line_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        made = lowered(bench, straight({"x": 600, "y": -7}, 6.3, 0.001))
-        bench.wire.to_far = lambda data: data.replace(b"P600", b"P800")
+        made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
+        bench.wire.to_far = lambda data: data.replace(b"P1200", b"P1800")
         with pytest.raises(CannotDo) as caught:
             await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
         assert caught.value.refusal.code == "load-garbled"
