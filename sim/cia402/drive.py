@@ -82,6 +82,7 @@ class Drive:
         reads, writes, servo = self._dictionary.reads, self._dictionary.writes, self.servo
         reads[0x6041, 0] = self.status
         reads[0x6061, 0] = lambda: self._mode
+        reads[0x6502, 0] = lambda: sum(1 << mode - 1 for mode in self._options.modes)
         for index in (0x6062, 0x60FC):
             reads[index, 0] = lambda: round(servo.demand)
         for index in (0x6063, 0x6064):
@@ -136,7 +137,7 @@ class Drive:
 
     def _select(self, mode: int) -> None:
         """Object 0x6060: another mode of operation. What moves comes to rest by its ramp."""
-        if mode not in self._modes:
+        if mode not in (0, *self._options.modes):
             raise Abort(aborts.RANGE)
         if mode == self._mode:
             return

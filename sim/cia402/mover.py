@@ -12,6 +12,9 @@ from sim.core.ramps import first_at
 
 LEAST = 0.5
 """Targets are whole units: what is nearer than this is the same one."""
+PAUSE_NS = 500_000_000
+"""An interpolated path may rest for so long, and is the same motion when it goes on: where it is slow, a period may
+have no unit to go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,8 @@ class Mover:
         self.slowing = False
         """It comes to rest because of a stop."""
         self._interpolating = False
+        self._path: Motion | None = None
+        """An interpolated path that rests, and may go on."""
         self._ended_ns = 0
 
     # Where it is
@@ -85,12 +90,25 @@ class Mover:
         now_ns = self._time.now_ns()
         self._base, self._plan, self._begin_ns, self.slowing = here, plan, now_ns, slowing
         if self._motion is None:
-            true_ns = self._time.true_ns(now_ns)
-            self._motion = Motion(self._axis, true_ns, here + self.shift())
-            self.motions.append(self._motion)
+            self._motion = self._paused(now_ns) or self._begun(now_ns, here)
         if slowing and self._motion.slowing_ns is None:
             self._motion.slowing_ns = self._time.true_ns(now_ns)
         self._watch(plan, 0.0)
+
+    def _begun(self, now_ns: int, here: float) -> Motion:
+        motion = Motion(self._axis, self._time.true_ns(now_ns), here + self.shift())
+        self.motions.append(motion)
+        return motion
+
+    def _paused(self, now_ns: int) -> Motion | None:
+        """The path that has only rested a little."""
+        if not self._interpolating or self._path is None:
+            return None
+        motion, self._path = self._path, None
+        if self._time.true_ns(now_ns) - self._ended_ns > PAUSE_NS:
+            return None
+        motion.end_ns = motion.end_counts = None
+        return motion
 
     def look_again(self) -> None:
         """The marks are others than before."""
@@ -114,11 +132,12 @@ class Mover:
             self.go(straight(distance, period_s))
         elif self._plan is None and self._motion is not None:
             # It has rested since the end of its last piece.
+            self._path = self._motion
             self._close(self._ended_ns)
 
     def interpolate(self, on: bool) -> None:
         """Whether plans are pieces of a path: the end of one is not the end of the motion then."""
-        self._interpolating = on
+        self._interpolating, self._path = on, None
         if not on and self._plan is None and self._motion is not None:
             self._close(self._ended_ns)
 

@@ -1,7 +1,7 @@
 """How one drive is built, wired and set, and what its maker is free to choose."""
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -20,6 +20,8 @@ class Options(BaseModel):
     """What a commissioning tool has stored in the drive: values by `index` or `index:sub`, hexadecimal: `6091:1`."""
     without: tuple[str, ...] = ()
     """Optional objects that it does not have, hexadecimal: `1013`."""
+    modes: tuple[Literal[1, 3, 6, 7, 8], ...] = (1, 3, 6, 7, 8)
+    """Modes of operation that it has; object 0x6502 says so."""
     serial: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 1
     """0x1018:4."""
     boot_ms: Annotated[int, Field(ge=0, le=60_000)] = 200

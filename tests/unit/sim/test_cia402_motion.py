@@ -462,3 +462,28 @@ def test_power_off_in_a_move_stops_dead_and_boots_again() -> None:
     assert bench.heard(0x701, since_ns) == [b"\0"]
     assert bench.read(0x6064, signed=True) == 0
     assert bench.clock.now_ns() > 1000 * MS
+
+
+def test_a_slow_path_with_periods_of_rest_is_one_motion() -> None:
+    bench = CanBench()
+    rpdo = bench.map(True, 3, [TARGET], 1)
+    bench.write(0x60C2, 1, 10, 1)
+    bench.enable(8)
+    bench.start()
+    follow(bench, rpdo, [1, 1, 1, 2, 2, 3, 5, 8, 9, 9, 9, 9, 10], 10)
+    bench.wait(10)
+    follow(bench, rpdo, [10] * 55, 10)
+    (motion,) = bench.drive.motions
+    assert motion.end_ns is not None
+    assert (motion.end_ns - motion.start_ns) / 1e9 == pytest.approx(0.13, abs=2e-4)
+    # What begins half a second later is another one.
+    follow(bench, rpdo, [20, 20], 10)
+    assert [(each.start_counts, each.end_counts) for each in bench.drive.motions] == [(0.0, 10.0), (10.0, 20.0)]
+
+
+def test_a_mode_that_the_drive_does_not_have_is_refused_and_not_in_its_list() -> None:
+    bench = CanBench(options={"modes": [1, 6, 7]})
+    assert bench.read(0x6502) == 0x61
+    with pytest.raises(Aborted, match="0x06090030"):
+        bench.write(0x6060, 0, 8, 1)
+    bench.write(0x6060, 0, 7, 1)
