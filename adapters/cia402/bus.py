@@ -52,6 +52,8 @@ class Bus:
         self.off = False
         self.clock = clock
         self.units: dict[int, int] = {}
+        self.periods_ms: dict[int, int] = {}
+        """Of SYNC, as its drives that follow positions want it, by node: all the same, because one SYNC is for all."""
         self._can: CanLink | None = None
         self._opening = asyncio.Lock()
         self._reading: asyncio.Task[None] | None = None

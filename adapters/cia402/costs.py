@@ -3,7 +3,9 @@
 from math import ceil
 
 from adapters.cia402.bus import SYNC
+from adapters.cia402.objects import DEMAND, STATUSWORD, TARGET
 from adapters.cia402.options import Options
+from adapters.cia402.stream import COPIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.link.can import CanFrame, frame_ns
 from orchestrator.model.state import Costs
@@ -22,6 +24,12 @@ def full_frame_ns(bitrate: int) -> int:
 def sync_ns(bitrate: int) -> int:
     """The SYNC on the bus."""
     return frame_ns(SYNC, bitrate)
+
+
+def stream_ns(bitrate: int, drives: int) -> int:
+    """What a period of a stream of positions takes on the bus."""
+    position, answer = CanFrame(0x7FF, bytes(TARGET.size)), CanFrame(0x7FF, bytes(STATUSWORD.size + DEMAND.size))
+    return sync_ns(bitrate) + drives * (COPIES * frame_ns(position, bitrate) + frame_ns(answer, bitrate))
 
 
 def costs(options: Options, bitrate: int, drives: int, ramp_s: float) -> Costs:

@@ -7,12 +7,22 @@ from adapters.cia402 import eds, startup, states
 from adapters.cia402 import objects as o
 from adapters.cia402.bus import SHARED, Bus
 from adapters.cia402.costs import costs
-from adapters.cia402.fleetaxes import POINTS, POSITION_MAX, node, only_axis, passive_outputs, ramp_s
+from adapters.cia402.fleetaxes import (
+    POINTS,
+    POSITION_MAX,
+    node,
+    only_axis,
+    passive_outputs,
+    ramp,
+    ramp_s,
+    streams,
+    units,
+)
 from adapters.cia402.hand import Hand
 from adapters.cia402.lowering import BusTimes, CiaLowered, lower
 from adapters.cia402.moves import Mover
 from adapters.cia402.node import Node
-from adapters.cia402.objects import Obj, point_bit
+from adapters.cia402.objects import CYCLIC_MODE, FOLLOWED, Obj, point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.pdo import pdos
 from adapters.cia402.power import Power
@@ -60,9 +70,14 @@ class CiaDriver(Driver):
         self._bus: Bus = setup.shared.setdefault(SHARED, Bus(setup.clock, link.bitrate))
         self._bus.join(self._number, options.start_us * NS_PER_US)
         self._starts: Starts = setup.shared.setdefault(_STARTS, Starts(self._bus))
-        self._ramp_s = ramp_s(axis)
+        self._ramp, self._ramp_s = ramp(axis, units(options)), ramp_s(axis)
         self._settle_ns = round(axis.in_position_timeout_s * NS_PER_S)
         self._pdos = pdos(options, outputs=bool(setup.config.outputs))
+        self._streams = streams(setup.config)
+        if self._streams:
+            self._bus.periods_ms[self._number] = options.period_ms
+        self._following: int | None = CYCLIC_MODE
+        """How the drive follows positions, as soon as it is known."""
         self._node: Node | None = None
         self._power: Power | None = None
         self._mover: Mover | None = None
@@ -81,15 +96,24 @@ class CiaDriver(Driver):
                 f"{link.place}: the drives of one bus do not agree on link.bitrate",
                 "give all of them the same",
             )
+        if len(set(self._bus.periods_ms.values())) > 1:
+            raise DriverFault(
+                "config-mismatch",
+                f"{link.place}: the drives of one bus do not agree on options.period_ms, and one SYNC is for all",
+                "give all of them the same",
+            )
         await self._attach()
         found, power = self._connected(), self._power
         assert power is not None
-        mover = self._mover = Mover(self._options, found, self._starts, self._setup.firer, power, self._settle_ns)
+        mover = self._mover = Mover(
+            self._options, found, self._starts, self._setup.firer, power, self._settle_ns, self._ramp
+        )
         hand = self._hand = Hand(self._config, self._options, found, power, lambda: mover.move is not None)
         mover.busy = lambda: hand.homing or hand.jogging
         identity = await startup.identify(found, self._options.boot_ms)
         if self._options.eds is not None:
             await startup.compare_product(found, self._product(self._options.eds))
+        await self._see_how_it_follows(found)
         self._stranger = await startup.take_over(found, self._starts, self._options, self._pdos)
         self._boots = found.boots
         return identity
@@ -100,6 +124,13 @@ class CiaDriver(Driver):
         fresh = Node(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
         await self._bus.attach(self._number, fresh, self._setup.open_link)
         self._node, self._power = fresh, Power(fresh, passive_outputs(self._config))
+
+    async def _see_how_it_follows(self, found: Node) -> None:
+        """Only a drive that is to move with limited jerk needs to."""
+        if self._streams:
+            self._following = await startup.way_to_follow(found)
+            found.followed = None if self._following is None else FOLLOWED[self._following]
+            self._pdos = pdos(self._options, outputs=bool(self._config.outputs), followed=found.followed)
 
     def _product(self, path: str) -> eds.Product:
         try:
@@ -121,7 +152,10 @@ class CiaDriver(Driver):
     @property
     def capabilities(self) -> Capabilities:
         return Capabilities(
-            start_classes=("sync",), orders=(2,), independent_axes=False, costs=self._costs(self._ramp_s)
+            start_classes=("sync",),
+            orders=(2, 3) if self._streams else (2,),
+            independent_axes=False,
+            costs=self._costs(self._ramp_s),
         )
 
     async def poll(self) -> Reading:
@@ -208,8 +242,8 @@ class CiaDriver(Driver):
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> CiaLowered:
         longest_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
-        times = BusTimes(self._bus.bitrate, self._bus.start_ns)
-        return lower(self._config, self._options, times, self._costs(longest_s), profiles, how)
+        times = BusTimes(self._bus.bitrate, self._bus.start_ns, len(self._bus.units))
+        return lower(self._config, self._options, times, self._costs(longest_s), profiles, how, self._following)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, CiaLowered)
@@ -286,7 +320,8 @@ class CiaDriver(Driver):
             )
         bit = point_bit(number)
         found.outputs = found.outputs | bit if on else found.outputs & ~bit
-        found.order(found.control & ~states.NEW_SET_POINT)
+        riding = mover.move is not None and mover.move.ride is not None
+        found.order(found.control if riding else found.control & ~states.NEW_SET_POINT)
         held = await found.sdo.read(o.OUTPUTS)
         if held != found.outputs:
             raise DriverFault(

@@ -61,6 +61,16 @@ def homing_numbers(axis: Axis, options: Options) -> tuple[int, int, int]:
     )
 
 
+def streams(config: Controller) -> bool:
+    """Whether its axis is to move with limited jerk, for which positions are streamed."""
+    return only_axis(config)[1].limits.jerk is not None
+
+
+def ramp(axis: Axis, own: Units) -> int:
+    """The limit of acceleration in the drive's units."""
+    return max(1, int(axis.limits.acceleration * float(axis.scale) * own.acceleration))
+
+
 def ramp_s(axis: Axis) -> float:
     """The ramp from full speed at the limit of acceleration."""
     return axis.limits.velocity / axis.limits.acceleration

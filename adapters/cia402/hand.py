@@ -203,10 +203,10 @@ class Hand:
             if not await node.soon(lambda: node.mode == o.PROFILE_POSITION_MODE):
                 await node.look()
                 raise CannotDo("wrong-mode", f"{node.name} does not go over to profile position mode", "see 6502h")
+        await node.set_point(target, velocity, ramp, ramp)
         if not await node.soon(lambda: not node.status & states.ACKNOWLEDGED) or node.stops != stops:
             raise CannotDo("stopped", f"a stop came before axis {self._name} was set going", "")
         since_ns = node.clock.now_ns()
-        node.bus.send(*node.set_point(target, velocity, ramp, ramp))
         node.order(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
         self._jog_stops, self._jog_ns = node.stops, since_ns
         taken = await node.soon(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)

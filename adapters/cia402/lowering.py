@@ -1,23 +1,25 @@
-"""Profiles to a set-point of profile position mode, and where about T0 the SYNC starts it."""
+"""Profiles to a set-point of profile position mode or to a course of positions, and when the SYNC starts it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from adapters.cia402.costs import full_frame_ns, sync_ns
-from adapters.cia402.fleetaxes import POSITION_MAX, bounds, only_axis, units
-from adapters.cia402.objects import point_bit
+from adapters.cia402.costs import full_frame_ns, stream_ns, sync_ns
+from adapters.cia402.course import Course
+from adapters.cia402.fleetaxes import POSITION_MAX, bounds, only_axis, streams, units
+from adapters.cia402.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.shape import Trapezoid, fit
 from adapters.contract import CannotDo, Lowered, require_how
 from adapters.patherror import path_error_counts
 from adapters.points import driven
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
 _SHORT_ROOM = 0.02  # a move may be too short by this part of the wanted duration; more is refused
+_MOST_LOAD = 0.6  # of a bus by positions and their answers: what else the drives say must have room
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,15 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class CiaLowered(Lowered):
-    """What `arm` needs. lead_ns: the SYNC is written so long before T0. shape: None, when nothing moves."""
+    """What `arm` needs. lead_ns: the SYNC is written so long before T0. target: None when nothing moves; else shape or
+    course is how. mode: of operation."""
 
     axis: str = ""
     start_counts: int = 0
     target: int | None = None
     shape: Trapezoid | None = None
+    course: Course | None = None
+    mode: int = PROFILE_POSITION_MODE
     lead_ns: int = 0
     drive: Drive | None = None
 
@@ -54,16 +59,24 @@ class CiaLowered(Lowered):
 
 @dataclass(frozen=True, slots=True)
 class BusTimes:
-    """What lowering knows of the bus. start_ns: the usual time from SYNC to motion that its drives have agreed on."""
+    """What lowering knows of the bus. start_ns: the usual time from SYNC to motion that its drives have agreed on.
+    drives: on it."""
 
     bitrate: int
     start_ns: int
+    drives: int
 
 
 def lower(
-    config: Controller, options: Options, bus: BusTimes, costs: Costs, profiles: Mapping[str, Profile], how: StartWay
+    config: Controller,
+    options: Options,
+    bus: BusTimes,
+    costs: Costs,
+    profiles: Mapping[str, Profile],
+    how: StartWay,
+    following: int | None,
 ) -> CiaLowered:
-    """Raises `CannotDo`."""
+    """following: the mode in which the drive follows positions; None: it has none. Raises `CannotDo`."""
     if how.wait is not None or how.by == "line":
         raise CannotDo(
             "start-class",
@@ -74,36 +87,106 @@ def lower(
     name, _ = only_axis(config)
     drive = _driven(config, how.drive)
     profile = profiles.get(name)
-    shape = None if profile is None else _shape(config, options, profile)
-    moves = profile is not None and shape is not None
     terms = _terms(options, bus)
-    commands: tuple[str, ...] = ()
-    if profile is not None and shape is not None:
-        commands = (
-            f"607Ah = {profile.end_counts}, 6081h = {shape.velocity}",
-            f"6083h = {shape.acceleration}, 6084h = {shape.deceleration}",
-            "6040h = 001Fh with SYNC",
-        )
-    if drive is not None:
-        commands += (f"60FEh bit {drive.bit.bit_length() - 1} {'on' if drive.high else 'off'} with SYNC",)
-    return CiaLowered(
+    done = CiaLowered(
         start_class="sync",
-        durations_s={} if profile is None else {name: shape.duration_s if shape is not None else 0.0},
-        path_error_counts={}
-        if profile is None
-        else {name: 0.0 if shape is None else path_error_counts(profile, shape.legs)},
+        durations_s={} if profile is None else {name: 0.0},
+        path_error_counts={} if profile is None else {name: 0.0},
         terms=terms,
         edge=terms if drive is not None else (),
         tick_ns=0.0,
         costs=costs,
-        commands=commands,
+        commands=_commands(drive),
+        clock_ppm=options.clock_ppm,
         axis=name,
         start_counts=0 if profile is None else profile.start_counts,
-        target=profile.end_counts if moves and profile is not None else None,
-        shape=shape,
         lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
         drive=drive,
     )
+    if profile is None or profile.end_counts == profile.start_counts:
+        return done
+    _require_range(name, profile)
+    # One count is no path.
+    if any(profile.jerks) and abs(profile.end_counts - profile.start_counts) > 1:
+        return _streamed(done, config, options, bus, profile, following)
+    return _set_point(done, config, options, profile)
+
+
+def _commands(drive: Drive | None) -> tuple[str, ...]:
+    if drive is None:
+        return ()
+    return (f"60FEh bit {drive.bit.bit_length() - 1} {'on' if drive.high else 'off'} with SYNC",)
+
+
+def _set_point(done: CiaLowered, config: Controller, options: Options, profile: Profile) -> CiaLowered:
+    """Executed by the drive's own profile."""
+    shape = _shape(config, options, profile)
+    commands = (
+        f"607Ah = {profile.end_counts}, 6081h = {shape.velocity}",
+        f"6083h = {shape.acceleration}, 6084h = {shape.deceleration}",
+        "6040h = 001Fh with SYNC",
+    )
+    return replace(
+        done,
+        durations_s={done.axis: shape.duration_s},
+        path_error_counts={done.axis: path_error_counts(profile, shape.legs)},
+        commands=commands + done.commands,
+        target=profile.end_counts,
+        shape=shape,
+    )
+
+
+def _streamed(
+    done: CiaLowered, config: Controller, options: Options, bus: BusTimes, profile: Profile, following: int | None
+) -> CiaLowered:
+    """Executed as positions that come with SYNC."""
+    if not streams(config):
+        raise CannotDo(
+            "jerk",
+            f"axis {done.axis}: its drive is not set up to follow positions, because its limits name no `jerk`",
+            "give the axis a limit of `jerk`, or plan a trapezoid",
+        )
+    if following is None:
+        raise CannotDo(
+            "jerk",
+            f"axis {done.axis}: the drive has neither cyclic synchronous position mode nor interpolated position mode "
+            "(6502h), and its own profiles are trapezoids",
+            "leave `jerk` out of the axis's limits",
+        )
+    course = Course(profile, options.period_ms * NS_PER_MS)
+    share = stream_ns(bus.bitrate, bus.drives) / course.period_ns
+    if share > _MOST_LOAD:
+        raise CannotDo(
+            "bus-load",
+            f"positions for {bus.drives} drives every {options.period_ms} ms would take {100 * share:.0f} % of a bus "
+            f"of {bus.bitrate} bit/s; allowed are {100 * _MOST_LOAD:.0f} %",
+            "give a longer `period_ms` or a higher `bitrate`, or spread the drives over more buses",
+        )
+    followed = FOLLOWED[following]
+    return replace(
+        done,
+        durations_s={done.axis: course.duration_s},
+        path_error_counts={done.axis: course.path_error_counts},
+        # This computer's clock has it in time; the drive's crystal only in the last period.
+        clock_ppm=options.clock_ppm / course.count,
+        commands=(
+            f"6060h = {following}, 60C2h = {options.period_ms} ms",
+            f"{followed} to {profile.end_counts} in {course.count} positions, one with each SYNC",
+            *done.commands,
+        ),
+        target=profile.end_counts,
+        course=course,
+        mode=following,
+    )
+
+
+def _require_range(name: str, profile: Profile) -> None:
+    if max(abs(profile.end_counts), abs(profile.start_counts)) > POSITION_MAX:
+        raise CannotDo(
+            "too-far",
+            f"axis {name}: a move to {profile.end_counts} counts is beyond {POSITION_MAX}",
+            "home the axis, or make the move shorter",
+        )
 
 
 def _terms(options: Options, bus: BusTimes) -> tuple[Term, ...]:
@@ -137,23 +220,9 @@ def _driven(config: Controller, drive: LineDrive | None) -> Drive | None:
     return Drive(drive.output, point_bit(point.number), point.active == "high", drive.hold_ns)
 
 
-def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid | None:
+def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid:
     name, axis = only_axis(config)
-    if any(profile.jerks):
-        raise CannotDo(
-            "jerk",
-            f"axis {name}: profile position mode runs trapezoids, and positions are not streamed to CiA 402 drives yet",
-            "leave `jerk` out of the axis's limits",
-        )
     way = abs(profile.end_counts - profile.start_counts)
-    if way == 0:
-        return None
-    if max(abs(profile.end_counts), abs(profile.start_counts)) > POSITION_MAX:
-        raise CannotDo(
-            "too-far",
-            f"axis {name}: a move to {profile.end_counts} counts is beyond {POSITION_MAX}",
-            "home the axis, or make the move shorter",
-        )
     wanted_s, limits = profile.duration_s, bounds(axis)
     shape = fit(way, wanted_s, profile.peak_velocity, limits, units(options))
     if shape is None:

@@ -1,4 +1,5 @@
-"""One step of a drive: its set-point loaded and read back, held back for the SYNC of the bus, followed to its end."""
+"""One step of a drive: its set-point, or the start of its stream, loaded and read back, held back for the SYNC of the
+bus, and followed to its end."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -11,22 +12,31 @@ from adapters.cia402 import states
 from adapters.cia402.costs import full_frame_ns, sync_ns
 from adapters.cia402.lowering import CiaLowered
 from adapters.cia402.node import Node
+from adapters.cia402.objects import Obj
 from adapters.cia402.options import Options
 from adapters.cia402.power import Power
+from adapters.cia402.ride import Ride
 from adapters.cia402.sdo import bus_off
 from adapters.cia402.starts import Shot, Starts
 from adapters.cia402.states import State
+from adapters.cia402.stream import COPIES, TAIL
 from adapters.contract import CannotDo, DriverFault, Firer, Outcome, Span
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
 from orchestrator.link.base import LinkClosed
 
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is held, or has never begun
+_MODES = {
+    o.PROFILE_POSITION_MODE: "profile position",
+    o.INTERPOLATED_MODE: "interpolated position",
+    o.CYCLIC_MODE: "cyclic synchronous position",
+}
 _SHORTEST_SYNC = 2  # its longest form has so many times the bits of its shortest one, at the most
 
 
 @dataclass(slots=True, eq=False)
 class Move:
-    """A step that is loaded. boots, left: how often the drive had started, and this computer had left the bus."""
+    """A step that is loaded. boots, left: how often the drive had started, and this computer had left the bus. ride: in
+    a stream."""
 
     lowered: CiaLowered
     t0_ns: int
@@ -34,6 +44,7 @@ class Move:
     boots: int
     left: int
     outputs: int
+    ride: Ride | None = None
     released: bool = False
     followed: bool = False
     started: Span | None = None
@@ -43,10 +54,10 @@ class Move:
 
 
 class Mover:
-    """Arms, starts and follows steps of one connection."""
+    """Arms, starts and follows steps of one connection. ramp: by which a drive brakes that follows a stream (6084h)."""
 
     def __init__(
-        self, options: Options, node: Node, starts: Starts, firer: Firer, power: Power, settle_ns: int
+        self, options: Options, node: Node, starts: Starts, firer: Firer, power: Power, settle_ns: int, ramp: int
     ) -> None:
         self._options = options
         self._node = node
@@ -54,6 +65,7 @@ class Mover:
         self._firer = firer
         self._power = power
         self._settle_ns = settle_ns
+        self._ramp = ramp
         self.move: Move | None = None
         self.busy: Callable[[], bool] = lambda: False
         """Whether something else moves the axis."""
@@ -65,7 +77,9 @@ class Mover:
         node = self._node
         if self.move is not None or self.busy():
             raise CannotDo("busy", "a motion is loaded or under way", "disarm or stop it")
-        shot = self._starts.reserve(node.number, t0_ns)
+        # The last SYNC of a stream is a period behind its end, and may be late.
+        course_ns = 0 if lowered.course is None else (lowered.course.count + TAIL) * lowered.course.period_ns
+        shot = self._starts.reserve(node.number, t0_ns, t0_ns + course_ns)
         move = self.move = Move(lowered, t0_ns, shot, node.boots, node.left_bus, node.outputs)
         try:
             return await self._load(move)
@@ -86,31 +100,12 @@ class Mover:
                 "make the line passive; see `active` in the fleet file",
             )
         node.require_well()
-        shape, target = lowered.shape, lowered.target
-        if shape is None or target is None:
+        if lowered.target is None:
             return {"wire": 0}
         self._require_start(move)
-        control = states.ENABLE
-        node.order(control, o.PROFILE_POSITION_MODE)
-        node.bus.send(*node.set_point(target, shape.velocity, shape.acceleration, shape.deceleration))
-        ready = await node.soon(
-            lambda: (node.mode == o.PROFILE_POSITION_MODE and not node.status & states.ACKNOWLEDGED) or not node.enabled
-        )
-        if not ready or not node.enabled:
-            await node.look()
-            raise CannotDo(
-                "wrong-mode",
-                f"{node.name} does not go over to profile position mode; it shows mode {node.mode} and is "
-                f"{node.state.value}",
-                "does it have this mode (6502h)? Is another master on the bus?",
-            )
+        loaded = await (self._load_set_point(lowered) if lowered.course is None else self._load_stream(lowered))
         loaded_ns = node.clock.now_ns()
-        for obj, value in (
-            (o.TARGET, target),
-            (o.PROFILE_VELOCITY, shape.velocity),
-            (o.ACCELERATION, shape.acceleration),
-            (o.DECELERATION, shape.deceleration),
-        ):
+        for obj, value in loaded.items():
             found = await node.sdo.read(obj)
             if found != value:
                 raise CannotDo(
@@ -123,6 +118,48 @@ class Mover:
         self._require_start(move)
         return {"wire": loaded_ns - began_ns, "verify": node.clock.now_ns() - loaded_ns}
 
+    async def _load_set_point(self, lowered: CiaLowered) -> Mapping[Obj, int]:
+        """What it must hold afterwards."""
+        node, shape, target = self._node, lowered.shape, lowered.target
+        assert shape is not None and target is not None
+        node.order(states.ENABLE, o.PROFILE_POSITION_MODE)
+        await node.set_point(target, shape.velocity, shape.acceleration, shape.deceleration)
+        await self._require_mode(o.PROFILE_POSITION_MODE, lambda: not node.status & states.ACKNOWLEDGED)
+        return {
+            o.TARGET: target,
+            o.PROFILE_VELOCITY: shape.velocity,
+            o.ACCELERATION: shape.acceleration,
+            o.DECELERATION: shape.deceleration,
+        }
+
+    async def _load_stream(self, lowered: CiaLowered) -> Mapping[Obj, int]:
+        """The drive follows where it stands, until the first SYNC."""
+        node, here = self._node, lowered.start_counts
+        assert node.followed is not None
+        await node.sdo.write(o.DECELERATION, self._ramp)
+        await node.sdo.write(node.followed, here)
+        node.order(states.ENABLE, lowered.mode)
+        await self._require_mode(lowered.mode, lambda: True)
+        if lowered.mode == o.INTERPOLATED_MODE:
+            node.order(states.ENABLE | states.FOLLOW)
+            if not await node.soon(lambda: bool(node.status & states.FOLLOWS)):
+                await node.look()
+                raise CannotDo("wrong-mode", f"{node.name} does not begin to interpolate", "see its manual")
+        return {node.followed: here, o.DECELERATION: self._ramp}
+
+    async def _require_mode(self, mode: int, ready: Callable[[], bool]) -> None:
+        """Raises `CannotDo` (wrong-mode)."""
+        node = self._node
+        there = await node.soon(lambda: (node.mode == mode and ready()) or not node.enabled)
+        if not there or not node.enabled:
+            await node.look()
+            raise CannotDo(
+                "wrong-mode",
+                f"{node.name} does not go over to {_MODES[mode]} mode; it shows mode {node.mode} and is "
+                f"{node.state.value}",
+                "does it have this mode (6502h)? Is another master on the bus?",
+            )
+
     async def verify(self) -> None:
         """Still loaded, still where the plan starts. Raises `CannotDo`."""
         move, node = self._require(), self._node
@@ -132,30 +169,38 @@ class Mover:
             raise CannotDo("not-loaded", f"{node.name} was switched off and on", "arm again")
         if move.left != node.left_bus:
             raise CannotDo("bus-off", f"{node.name} could not be reached meanwhile", "arm again")
-        if move.lowered.shape is not None:
+        if move.lowered.target is not None:
             self._require_start(move)
-            if node.mode != o.PROFILE_POSITION_MODE:
+            if node.mode != move.lowered.mode:
                 raise CannotDo("not-loaded", f"{node.name} shows mode {node.mode} of operation", "arm again")
 
     async def go(self) -> None:
-        """Have the set-point wait in the drive for the SYNC, and the SYNC written so that the motion is at T0."""
+        """Have what starts wait in the drive for the SYNC, and the SYNC written so that the motion is at T0."""
         move, node = self._require(), self._node
         lowered = move.lowered
-        if lowered.shape is None and lowered.drive is None:
+        if lowered.target is None and lowered.drive is None:
             return
         at_ns = move.t0_ns - lowered.lead_ns
         # What waits in the drive must be there before the SYNC.
         if node.clock.now_ns() + NS_PER_MS >= at_ns:
             raise CannotDo("late", "the instant to write the SYNC is past", "give more lead time")
         control = node.control if lowered.shape is None else states.ENABLE | states.NEW_SET_POINT
+        course = lowered.course
         outputs = node.outputs
         if lowered.drive is not None:
             outputs = lowered.drive.switched(outputs, active=True)
             self._power.drives(True, lowered.drive.switched(outputs, active=False))
         move.released = node.loaded = True
-        frame = node.at_sync(control, outputs)
+        frames = [node.at_sync(control, outputs)]
+        if course is not None:
+            ride = move.ride = Ride(node, course, lambda: self._derailed(move))
+            self._starts.ride(node.number, move.shot, ride, self._firer, at_ns, course.period_ns)
+            frames += [ride.frame(0)] * COPIES
+        elif node.followed == o.TARGET and lowered.target is not None:
+            # The SYNC takes what waits there, too: not an older position.
+            frames.append(node.position(lowered.target))
         latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
-        self._starts.load(node.number, move.shot, frame, self._firer, at_ns, latest_ns)
+        self._starts.load(node.number, move.shot, frames, self._firer, at_ns, latest_ns)
 
     async def disarm(self) -> None:
         """Take back what waits in the drive, and the SYNC unless others need it. Nothing starts any more."""
@@ -170,7 +215,8 @@ class Mover:
         self._passive(move)
         if waits:
             # Whatever SYNC takes it finds what the drive was told last; until then every order overwrites it.
-            node.order(node.control & ~states.NEW_SET_POINT)
+            mode = o.PROFILE_POSITION_MODE if move.lowered.course is not None and move.stopped_ns is None else None
+            node.order(node.control & ~states.NEW_SET_POINT, mode)
             node.loaded = not self._starts.flush()
         else:
             node.loaded = False
@@ -185,7 +231,7 @@ class Mover:
             self._power.drives(False, 0)
             node.outputs = drive.switched(node.outputs, active=False)
             if move.released and node.mapped:
-                node.order(node.control & ~states.NEW_SET_POINT)
+                node.order(node.control if move.ride is not None else node.control & ~states.NEW_SET_POINT)
 
     def interrupted(self, at_ns: int) -> None:
         """A stop was written at that instant."""
@@ -199,6 +245,14 @@ class Mover:
             self.move = None
         move.changed.set()
         self._node.wake()
+
+    def _derailed(self, move: Move) -> None:
+        """Its stream can not go on: it brakes."""
+        with suppress(LinkClosed):
+            if move.stopped_ns is None and self.move is move:
+                self._power.stop(False)
+            self._starts.drop(self._node.number, move.shot)
+            self._starts.flush()
 
     def forget(self) -> None:
         """The connection ends; what waits for an instant does not any more."""
@@ -216,32 +270,35 @@ class Mover:
         move.followed = True
         lowered = move.lowered
         names = list(lowered.durations_s)
-        if lowered.shape is None and lowered.drive is None:
+        if lowered.target is None and lowered.drive is None:
             return {name: Span(move.t0_ns, move.t0_ns) for name in names}
         fired = await asyncio.shield(move.shot.fired)
         node.loaded = False
         if fired is None or (move.stopped_ns is not None and move.stopped_ns < fired.written_ns):
             raise DriverFault("not-started", "the order to start was taken back", "")
         if fired.late:
-            node.bus.send(node.at_sync(node.control & ~states.NEW_SET_POINT))
-            self._starts.flush()
+            self._take_back(move)
             raise DriverFault("late", "the instant to write the SYNC was missed", "check the host's load")
         if lowered.drive is not None:
             self._hold(move)
-        if lowered.shape is None:
+        if lowered.target is None:
             return {name: Span(move.t0_ns, move.t0_ns) for name in names}
         earliest_ns, latest_ns = self._promised(fired.written_ns)
-        taken = await node.until(
-            lambda: self._interrupted_now(move) or node.acknowledged_ns > fired.written_ns, latest_ns + node.answer_ns
-        )
-        if node.acknowledged_ns <= fired.written_ns and move.stopped_ns is None:
+
+        def taken_ns() -> int:
+            """When it has said that it has taken what it was to start with; 0: it has not."""
+            said_ns = node.acknowledged_ns if move.ride is None else node.answer.at_ns
+            return said_ns if said_ns > fired.written_ns else 0
+
+        taken = await node.until(lambda: self._interrupted_now(move) or bool(taken_ns()), latest_ns + node.answer_ns)
+        if not taken_ns() and move.stopped_ns is None:
             raise self._not_started(move, taken)
-        if node.acknowledged_ns > fired.written_ns:
-            # It says that it has taken the set-point, not that it moves already.
-            latest_ns = max(earliest_ns, min(latest_ns, node.acknowledged_ns + self._after_taking_ns))
+        if taken_ns():
+            # It does not say that it moves already.
+            latest_ns = max(earliest_ns, min(latest_ns, taken_ns() + self._after_taking_ns))
         span = Span(earliest_ns, latest_ns)
         move.started = span
-        if move.stopped_ns is None:
+        if move.stopped_ns is None and move.ride is None:
             node.order(states.ENABLE)
         return dict.fromkeys(names, span)
 
@@ -275,7 +332,7 @@ class Mover:
         """Wait until the axis is at its target by the drive's own word, or will not get there."""
         move, node, lowered = self._require(), self._node, self._require().lowered
         at_t0 = {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
-        if lowered.shape is None or move.started is None:
+        if lowered.target is None or move.started is None:
             await self._held(move)
             self._over(move)
             return (
@@ -286,6 +343,8 @@ class Mover:
         latest_ns = move.started.latest_ns + self._device_ns(seconds, 1)
 
         def arrived() -> bool:
+            if move.ride is not None:
+                return move.ride.arrived
             return (
                 node.clock.now_ns() >= earliest_ns
                 and bool(node.status & states.TARGET_REACHED)
@@ -304,12 +363,29 @@ class Mover:
         self._over(move)
         now_ns = node.clock.now_ns()
         if not stopped and not trouble and there:
+            if move.ride is not None and lowered.course is not None:
+                earliest_ns, latest_ns = self._rode(move.ride, lowered.course.period_ns)
+                await self._leave_stream()
             return Outcome("done", {lowered.axis: Span(min(earliest_ns, latest_ns), latest_ns)})
         spans = {lowered.axis: Span(min(move.started.earliest_ns, now_ns), now_ns)}
         stands = f"axis {lowered.axis} stands at {node.actual}, its target is {lowered.target}"
         if stopped:
             return Outcome("stopped", spans, f"stopped on request; {stands}")
         return Outcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
+
+    def _rode(self, ride: Ride, period_ns: int) -> tuple[int, int]:
+        """Where the end lies: a period after its last SYNC had its effect."""
+        earliest_ns, latest_ns = self._promised(ride.last_written_ns)
+        if ride.last_heard_ns:
+            latest_ns = max(earliest_ns, min(latest_ns, ride.last_heard_ns + self._after_taking_ns))
+        period_s = period_ns / NS_PER_S
+        return earliest_ns + self._device_ns(period_s, -1), latest_ns + self._device_ns(period_s, 1)
+
+    async def _leave_stream(self) -> None:
+        """A drive that follows positions needs SYNC; in profile position mode it rests without."""
+        node = self._node
+        node.order(states.ENABLE, o.PROFILE_POSITION_MODE)
+        await node.soon(lambda: node.mode == o.PROFILE_POSITION_MODE)
 
     def _interrupted_now(self, move: Move) -> bool:
         return move.stopped_ns is not None or bool(self._trouble(move))
@@ -323,9 +399,11 @@ class Mover:
             return "could not be reached: this computer has left the bus (bus-off)"
         if node.state in (State.FAULT, State.REACTION):
             return f"has a fault: {node.why()}"
-        if move.lowered.shape is not None and not node.enabled:
+        if move.ride is not None and move.ride.trouble:
+            return move.ride.trouble
+        if move.lowered.target is not None and not node.enabled:
             return f"is {node.state.value}: was it switched off by its enable input, or stopped by another master?"
-        if move.lowered.shape is not None and node.status & states.INTERNAL_LIMIT:
+        if move.lowered.target is not None and node.status & states.INTERNAL_LIMIT:
             return "was stopped by a limit of its own (switch or software limit)"
         return ""
 

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from typing import NamedTuple
 
 from adapters.cia402 import states
 from adapters.cia402.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Bus
@@ -19,6 +20,7 @@ from adapters.cia402.objects import (
     STATUSWORD,
     TARGET,
     VELOCITY,
+    Obj,
 )
 from adapters.cia402.sdo import SdoClient, bus_off
 from adapters.cia402.states import State, state_of
@@ -32,6 +34,14 @@ _BOOT_UP = 0x00
 OPERATIONAL = 0x05
 
 
+class Answer(NamedTuple):
+    """What a drive has said to a SYNC: its statusword, and its demanded position when the SYNC came."""
+
+    at_ns: int
+    status: int
+    demand: int
+
+
 class Node:
     """State and orders of one drive, while a connection lasts. Positions in counts."""
 
@@ -42,6 +52,10 @@ class Node:
         self.answer_ns = answer_ns
         self.sdo = SdoClient(bus, number, name, answer_ns)
         self.has_outputs = outputs
+        self.followed: Obj | None = None
+        """The object of the positions that are streamed to it; None: none are, so RPDO 4 carries its ramps."""
+        self.answer = Answer(0, 0, 0)
+        """To the last SYNC, of a drive that follows positions."""
         self.status = self.mode = 0
         self.demand = self.actual = self.velocity = self.inputs = 0
         self.control = self.wanted_mode = self.outputs = 0
@@ -90,6 +104,9 @@ class Node:
             self.demand, self.actual, self.state_ns = demand, ACTUAL.decode(data[4:]), at_ns
         elif function == TPDO[2] and len(data) == INPUTS.size + VELOCITY.size:
             self.inputs, self.velocity = INPUTS.decode(data), VELOCITY.decode(data[4:])
+        elif function == TPDO[3] and len(data) == STATUSWORD.size + DEMAND.size:
+            # It may have waited for the bus longer than what the others say: it is no news of the present state.
+            self.answer = Answer(at_ns, STATUSWORD.decode(data), DEMAND.decode(data[2:]))
         elif function == EMCY and len(data) == 8:
             self._emergency(int.from_bytes(data[:2], "little"))
         elif function == HEARTBEAT and len(data) == 1:
@@ -191,12 +208,25 @@ class Node:
         """A controlword that is taken with the next SYNC; with outputs, where some are named."""
         return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + self._switched(outputs))
 
-    def set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> list[CanFrame]:
-        """A target with its profile, all in the drive's units; it is gone to when a controlword says so."""
-        return [
-            CanFrame(RPDO[2] + self.number, TARGET.encode(target) + PROFILE_VELOCITY.encode(velocity)),
-            CanFrame(RPDO[3] + self.number, ACCELERATION.encode(acceleration) + DECELERATION.encode(deceleration)),
-        ]
+    async def set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
+        """Give it a target with its profile, all in the drive's units; it is gone to when a controlword says so.
+
+        Raises as `SdoClient.write`.
+        """
+        number = self.number
+        goal = CanFrame(RPDO[2] + number, TARGET.encode(target) + PROFILE_VELOCITY.encode(velocity))
+        if self.followed is None:
+            ramps = CanFrame(RPDO[3] + number, ACCELERATION.encode(acceleration) + DECELERATION.encode(deceleration))
+            self.bus.send(goal, ramps)
+        else:
+            await self.sdo.write(ACCELERATION, acceleration)
+            await self.sdo.write(DECELERATION, deceleration)
+            self.bus.send(goal)
+
+    def position(self, counts: int) -> CanFrame:
+        """A position of a stream, taken with the next SYNC."""
+        assert self.followed is not None
+        return CanFrame(RPDO[3] + self.number, self.followed.encode(counts))
 
     def _switched(self, outputs: int | None = None) -> bytes:
         if not self.has_outputs:

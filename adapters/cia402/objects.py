@@ -72,9 +72,17 @@ HOMING_ACCELERATION = Obj(0x609A, 0, 32, "homing acceleration")
 INPUTS = Obj(0x60FD, 0, 32, "digital inputs")
 OUTPUTS = Obj(0x60FE, 1, 32, "physical outputs")
 OUTPUT_MASK = Obj(0x60FE, 2, 32, "output bit mask")
+INTERPOLATION_POSITION = Obj(0x60C1, 1, 32, "interpolation data record", signed=True)
+PERIOD = Obj(0x60C2, 1, 8, "interpolation time period value")
+PERIOD_INDEX = Obj(0x60C2, 2, 8, "interpolation time index", signed=True)
+SUPPORTED_MODES = Obj(0x6502, 0, 32, "supported drive modes")
 
 PROFILE_POSITION_MODE = 1
 HOMING_MODE = 6
+INTERPOLATED_MODE = 7
+CYCLIC_MODE = 8
+FOLLOWED = {CYCLIC_MODE: TARGET, INTERPOLATED_MODE: INTERPOLATION_POSITION}
+"""Modes in which a drive follows positions that come with SYNC, the better one first, and the object of those."""
 
 FIRST_POINT_BIT = 16
 """Inputs and outputs 1 to 16 are the maker's bits 16 to 31 of 60FDh and 60FEh."""

@@ -42,6 +42,9 @@ class Options(BaseModel):
     heartbeat_ms: int = Field(default=100, ge=10, le=5000, description="How often the drive says that it lives.")
     state_ms: int = Field(default=50, ge=5, le=5000, description="How often the drive sends its state unasked.")
     inhibit_ms: int = Field(default=10, ge=1, le=1000, description="Least time between two of its positions.")
+    period_ms: int = Field(
+        default=10, ge=1, le=100, description="Period of SYNC while positions are streamed, for jerk-limited motion."
+    )
     answer_ms: int = Field(default=100, ge=10, le=60_000, description="How long an SDO answer may take.")
     boot_ms: int = Field(default=1000, ge=0, le=60_000, description="How long after power-up it does not answer yet.")
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the drive's crystal.")

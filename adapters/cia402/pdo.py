@@ -1,7 +1,8 @@
 """The PDOs that the adapter has a drive use: its state comes unasked, and orders take one frame.
 
 RPDO 1 is taken with the next SYNC and carries what starts; RPDO 2 is taken at once and carries everything else that the
-state machine is told; RPDO 3 and 4 carry a set-point. TPDO 1 is sent on change, the others at most so often.
+state machine is told; RPDO 3 and 4 carry a set-point. TPDO 1 is sent on change, the others at most so often. Of a drive
+that follows positions, RPDO 4 carries those, taken with each SYNC, and TPDO 4 answers each SYNC.
 """
 
 from collections.abc import Sequence
@@ -39,18 +40,27 @@ class Pdo:
     timer: int | None = None
 
 
-def pdos(options: Options, *, outputs: bool) -> tuple[Pdo, ...]:
-    """All PDOs of a drive. outputs: some are named, and are switched with the controlword."""
+def pdos(options: Options, *, outputs: bool, followed: Obj | None = None) -> tuple[Pdo, ...]:
+    """All PDOs of a drive. outputs: some are named, and are switched with the controlword. followed: the object of the
+    positions that are streamed to it; None: none are."""
     switched = (o.OUTPUTS,) if outputs else ()
     slow = options.inhibit_ms * 10
+    fourth = (
+        (Pdo("RPDO 4", 0x1403, 0x1603, RPDO[3], AT_ONCE, (o.ACCELERATION, o.DECELERATION)),)
+        if followed is None
+        else (
+            Pdo("RPDO 4", 0x1403, 0x1603, RPDO[3], SYNCHRONOUS, (followed,)),
+            Pdo("TPDO 4", 0x1803, 0x1A03, TPDO[3], SYNCHRONOUS, (o.STATUSWORD, o.DEMAND)),
+        )
+    )
     return (
         Pdo("RPDO 1", 0x1400, 0x1600, RPDO[0], SYNCHRONOUS, (o.CONTROLWORD, *switched)),
         Pdo("RPDO 2", 0x1401, 0x1601, RPDO[1], AT_ONCE, (o.CONTROLWORD, o.MODE, *switched)),
         Pdo("RPDO 3", 0x1402, 0x1602, RPDO[2], AT_ONCE, (o.TARGET, o.PROFILE_VELOCITY)),
-        Pdo("RPDO 4", 0x1403, 0x1603, RPDO[3], AT_ONCE, (o.ACCELERATION, o.DECELERATION)),
         Pdo("TPDO 1", 0x1800, 0x1A00, TPDO[0], AT_ONCE, (o.STATUSWORD, o.MODE_DISPLAY), 0, options.state_ms),
         Pdo("TPDO 2", 0x1801, 0x1A01, TPDO[1], AT_ONCE, (o.DEMAND, o.ACTUAL), slow, options.state_ms),
         Pdo("TPDO 3", 0x1802, 0x1A02, TPDO[2], AT_ONCE, (o.INPUTS, o.VELOCITY), slow, options.state_ms),
+        *fourth,
     )
 
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from adapters.cia402 import states
 from adapters.cia402.bus import SDO_REQUEST
 from adapters.cia402.node import Node
-from adapters.cia402.objects import CONTROLWORD
+from adapters.cia402.objects import CONTROLWORD, FOLLOWED, PROFILE_POSITION_MODE
 from adapters.cia402.sdo import download
 from adapters.cia402.states import NEXT, State
 from adapters.contract import CannotDo, DriverFault
@@ -47,6 +47,9 @@ class Power:
     async def _enable(self) -> None:
         node = self._node
         stops = node.stops
+        if not node.enabled and node.wanted_mode in FOLLOWED:
+            # Whoever is enabled in such a mode may go to what it was told last.
+            node.wanted_mode = PROFILE_POSITION_MODE
         for _ in range(_STEPS):
             before = node.state
             if before is State.ENABLED:
@@ -151,7 +154,7 @@ class Power:
             if node.stops != stops or node.bus.off:
                 return
             if node.state is State.ENABLED:
-                node.order(states.QUICK_STOP)
+                node.order(states.QUICK_STOP, PROFILE_POSITION_MODE if node.wanted_mode in FOLLOWED else None)
                 await node.soon(lambda: node.state is not State.ENABLED)
                 await node.until(resting, now_ns + _RAMP_NS)
             if node.stops == stops and node.state is State.QUICK_STOP:

@@ -6,7 +6,7 @@ from adapters.cia402 import objects as o
 from adapters.cia402 import pdo
 from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START
 from adapters.cia402.eds import Product
-from adapters.cia402.fleetaxes import only_axis, units
+from adapters.cia402.fleetaxes import only_axis, ramp, units
 from adapters.cia402.node import OPERATIONAL, Node
 from adapters.cia402.objects import Obj
 from adapters.cia402.options import Options
@@ -24,6 +24,7 @@ _DRIVE_PROFILE = 402
 _NMT = 0x000
 _SLOW_DOWN, _QUICK_STOP_AND_STAY = 1, 6
 _TRAPEZOID = 0
+_MILLISECONDS = -3
 _BEATS = 5  # of its heartbeats, until it must have said that it is operational
 _STILL_NS = 60 * NS_PER_MS
 
@@ -64,6 +65,12 @@ async def compare_product(node: Node, wanted: Product) -> None:
             )
 
 
+async def way_to_follow(node: Node) -> int | None:
+    """The mode in which the drive follows positions, the best that it has; None: it has none."""
+    modes = await _if_there(node, o.SUPPORTED_MODES) or 0
+    return next((mode for mode in o.FOLLOWED if modes >> mode - 1 & 1), None)
+
+
 async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[pdo.Pdo, ...]) -> bool:
     """Map its PDOs, have it live and speak, and take away what somebody may have left waiting for a SYNC.
 
@@ -85,6 +92,9 @@ async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[
     if node.has_outputs:
         node.outputs = await node.sdo.read(o.OUTPUTS)
     node.mapped = True
+    if node.followed is not None:
+        await load(node, o.PERIOD, options.period_ms)
+        await load(node, o.PERIOD_INDEX, _MILLISECONDS)
     node.bus.send(node.at_sync(node.control))
     starts.flush()
     return stranger
@@ -146,8 +156,8 @@ async def compare(node: Node, config: Controller, options: Options) -> None:
         (o.HALT_OPTION, _SLOW_DOWN),
         (o.QUICK_STOP_OPTION, _QUICK_STOP_AND_STAY),
         (o.PROFILE_TYPE, _TRAPEZOID),
-        (o.ACCELERATION, max(1, int(axis.limits.acceleration * float(axis.scale) * own.acceleration))),
-        (o.DECELERATION, max(1, int(axis.limits.acceleration * float(axis.scale) * own.acceleration))),
+        (o.ACCELERATION, ramp(axis, own)),
+        (o.DECELERATION, ramp(axis, own)),
     ]
     if quickest is not None:
         wanted_units = round(quickest * float(axis.scale) * own.acceleration)

@@ -35,6 +35,8 @@ TARGET_REACHED = 1 << 10
 INTERNAL_LIMIT = 1 << 11
 ACKNOWLEDGED = 1 << 12
 """Profile position: the set-point is taken. Homing: attained."""
+FOLLOWS = ACKNOWLEDGED
+"""Interpolated and cyclic synchronous position: the drive follows."""
 MODE_ERROR = 1 << 13
 """Profile position: following error. Homing: error."""
 
@@ -45,8 +47,9 @@ SHUTDOWN = 0x0006
 SWITCH_ON = 0x0007
 ENABLE = 0x000F
 FAULT_RESET = 0x0080
-# Bits of the controlword in profile position mode; bit 4 starts a homing as well.
+# Bits of the controlword in profile position mode; bit 4 starts a homing as well, and has interpolation go on.
 NEW_SET_POINT = 1 << 4
+FOLLOW = NEW_SET_POINT
 AT_ONCE = 1 << 5
 HALT = 1 << 8
 

@@ -64,6 +64,8 @@ _EMERGENCIES = {
     0x8250: "RPDO timeout",
     0x8611: "following error",
     0x8612: "reference limit",
+    0x8613: "homing error",
+    0x8700: "SYNC lost",
     0xFF00: "an error of the maker's own",
 }
 # Of the classes by the upper byte, for codes that are not known one by one (CiA 301, table of emergency error codes).

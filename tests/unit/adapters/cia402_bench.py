@@ -57,7 +57,10 @@ class Drives:
     units: list[Any]
     drivers: list[CiaDriver]
     wire: MemoryWire
+    shared: dict[str, Any]
     frames: list[tuple[int, CanFrame]] = field(default_factory=list[tuple[int, CanFrame]])
+    late_ns: Callable[[int], int] = lambda at_ns: 0
+    """How much later than usual what is due now is written."""
 
     @property
     def driver(self) -> CiaDriver:
@@ -122,14 +125,14 @@ def run(
         segment, units = CIA402.build_shared(clock, branches)
         wire = MemoryWire(clock, can_wire(), segment, "can", "can can0", copy_context(), 3)
         draw, shared = Random(5), dict[str, Any]()
-        firer = LoopFirer(clock, lambda: draw.randrange(50 * NS_PER_US))
+        firer = LoopFirer(clock, lambda: draw.randrange(50 * NS_PER_US) + drives.late_ns(clock.now_ns()))
         drivers: list[CiaDriver] = []
         for node in range(1, count + 1):
             its = config(node, options, **axis)
             MAKE.check(its)
             setup = Setup(f"d{node}", its, MAKE.options.model_validate(its.options), clock, wire.open, firer, shared)
             drivers.append(MAKE.driver(setup))
-        drives = Drives(clock, segment.bus, list(units), drivers, wire)
+        drives = Drives(clock, segment.bus, list(units), drivers, wire, shared)
         segment.bus.watch(lambda frame, begin_ns, end_ns: drives.frames.append((end_ns, frame)))
         try:
             await main(drives)

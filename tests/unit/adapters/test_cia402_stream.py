@@ -1,0 +1,391 @@
+"""Jerk-limited moves as positions that follow each other with SYNC."""
+
+import asyncio
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, config, profiles, run
+
+from adapters.cia402 import MAKE
+from adapters.cia402.bus import SHARED
+from adapters.cia402.course import Course
+from adapters.contract import CannotDo, DriverFault, JogMove, Outcome, Setup, Span
+from adapters.firing import LoopFirer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.link.base import LinkClosed
+from orchestrator.link.can import CanFrame, encode
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+
+JERK = 4e6
+SMOOTH: dict[str, Any] = {"limits": {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}}
+PERIOD_NS = 10 * NS_PER_MS
+
+
+def smooth(begin: int, end: int, slower: float = 1.0) -> dict[str, Profile]:
+    plan = plan_step([AxisMove("a", begin, end, VELOCITY / 2, ACCELERATION / 2, JERK, order=3)])
+    return dict(plan.stretched(plan.duration_s * slower).profiles)
+
+
+async def released(world: Drives, moves: dict[int, dict[str, Profile]], after_ms: int = 300) -> int:
+    """Armed and released for one T0, by number of the drive; T0."""
+    t0_ns = world.clock.now_ns() + after_ms * NS_PER_MS
+    for number, planned in moves.items():
+        driver = world.drivers[number]
+        await driver.arm(driver.lower(planned, StartWay(), None), t0_ns, None)
+        await driver.verify()
+    for number in moves:
+        await world.drivers[number].go()
+    return t0_ns
+
+
+async def followed(world: Drives, number: int = 0) -> tuple[Span, Outcome]:
+    driver = world.drivers[number]
+    span = (await driver.started())["a"]
+    return span, await driver.outcome()
+
+
+@pytest.mark.parametrize(("mode", "simulate"), [(8, {}), (7, {"modes": [1, 6, 7]})])
+def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, simulate: dict[str, Any]) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        for begin, end in ((0, 40_000), (40_000, -3_000), (-3_000, -3_002)):
+            profile = smooth(begin, end)["a"]
+            lowered = world.driver.lower({"a": profile}, StartWay(), None)
+            assert lowered.mode == mode
+            t0_ns = await released(world, {0: {"a": profile}})
+            off = 0.0
+            following = asyncio.get_running_loop().create_task(followed(world))
+            at_ns = t0_ns
+            while at_ns < t0_ns + lowered.durations_s["a"] * NS_PER_S:
+                await world.until(at_ns)
+                planned = begin + profile.at((at_ns - t0_ns) / NS_PER_S).position
+                off = max(off, abs(world.unit.position("1") - planned))
+                at_ns += NS_PER_MS
+            span, outcome = await following
+            motion = world.unit.motions[-1]
+            assert outcome.state == "done", outcome.reason
+            assert (motion.start_counts, motion.end_counts) == (begin, end)
+            assert span.earliest_ns <= motion.start_ns <= span.latest_ns
+            assert outcome.ended["a"].earliest_ns <= motion.end_ns <= outcome.ended["a"].latest_ns
+            assert abs(motion.end_ns - motion.start_ns - lowered.durations_s["a"] * NS_PER_S) < 400_000
+            # Beside what lowering says, the plan runs away from it for as long as the SYNC is late.
+            assert off <= lowered.path_error_counts["a"] + profile.peak_velocity * 400e-6
+        assert len(world.unit.motions) == 3
+
+    run(main, simulate=simulate, **SMOOTH)
+
+
+def test_the_course_begins_and_ends_when_the_plan_does() -> None:
+    for end in (2, 3, 100, -2, -77, 40_000):
+        for slower in (1.0, 1.37, 20.0):
+            profile = smooth(0, end, slower)["a"]
+            course = Course(profile, PERIOD_NS)
+            point = course.points()
+            told = [point(number) for number in range(-1, course.count + 1)]
+            assert told[0] == 0 and told[-2:] == [end, end]
+            assert course.count == 1 or (abs(told[1]) >= 1 and abs(told[-3]) < abs(end))
+            ways = [after - before for before, after in pairwise(told)]
+            assert all(way * end >= 0 for way in ways)
+            assert 0 <= course.duration_s - profile.duration_s < PERIOD_NS / NS_PER_S + 1e-9
+            whole = profile.stretched(course.duration_s / profile.duration_s)
+            assert Course(whole, PERIOD_NS).duration_s == pytest.approx(course.duration_s, abs=1e-12)
+
+
+def _is(frame_id: int) -> bytes:
+    return frame_id.to_bytes(4, "little")
+
+
+def lose(world: Drives, frame_id: int, since_ns: int, count: int) -> None:
+    """Lose the next `count` frames with this identifier, from `since_ns` on, on their way to the CAN controller."""
+    left = count
+
+    def lossy(data: bytes) -> bytes:
+        nonlocal left
+        kept = b""
+        for at in range(0, len(data), 16):
+            frame = data[at : at + 16]
+            if left and world.clock.now_ns() >= since_ns and frame[:4] == _is(frame_id):
+                left -= 1
+            else:
+                kept += frame
+        return kept
+
+    world.wire.to_far = lossy
+
+
+def fastest(world: Drives, number: int = 0) -> "asyncio.Task[float]":
+    """Watches the speed of a drive for a second."""
+
+    async def watch() -> float:
+        found = 0.0
+        for _ in range(2000):
+            found = max(found, abs(world.units[number].velocity("1")))
+            await world.rest(0.5)
+        return found
+
+    return asyncio.get_running_loop().create_task(watch())
+
+
+def test_a_position_that_is_lost_once_is_no_jump() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        profile = smooth(0, 20_000)["a"]
+        t0_ns = await released(world, {0: {"a": profile}})
+        watching = fastest(world)
+        lose(world, 0x501, t0_ns + 300 * NS_PER_MS, 1)
+        _, outcome = await followed(world)
+        assert outcome.state == "done", outcome.reason
+        # A little more than planned, because a SYNC may come a little early after one that was late.
+        assert await watching < profile.peak_velocity * 1.1
+
+    run(main, **SMOOTH)
+
+
+def test_a_position_that_is_lost_is_an_underrun_that_is_said_and_the_drive_brakes() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000)})
+        lose(world, 0x501, t0_ns + 300 * NS_PER_MS, 2)
+        _, outcome = await followed(world)
+        assert outcome.state == "fault"
+        assert "underrun" in outcome.reason and "had no position with SYNC 3" in outcome.reason
+        await world.rest(400)
+        assert world.unit.at_rest()
+        assert 0 < world.unit.position("1") < 40_000
+        world.wire.to_far = None
+        await another(world, 0)
+
+    run(main, **SMOOTH)
+
+
+async def another(world: Drives, number: int) -> None:
+    """The drive can make its next move, from where it stands."""
+    here = (await world.drivers[number].poll()).axes["a"].commanded_counts
+    await released(world, {number: smooth(here, here + 5_000)})
+    _, outcome = await followed(world, number)
+    assert outcome.state == "done", outcome.reason
+    assert world.units[number].position("1") == here + 5_000
+
+
+@pytest.mark.parametrize("mode", [7, 8])
+def test_a_sync_that_is_lost_is_an_underrun_of_all_and_none_goes_on(mode: int) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        lose(world, 0x080, t0_ns + 300 * NS_PER_MS, 1)
+        for number, (_, outcome) in enumerate(await asyncio.gather(followed(world, 0), followed(world, 1))):
+            assert outcome.state == "fault"
+            assert "has not answered SYNC 3" in outcome.reason
+            assert f"node {number + 1}" in outcome.reason
+        syncs = world.syncs()
+        await world.rest(400)
+        assert world.syncs() - syncs <= 1  # what waits in the drives is taken away
+        for number in (0, 1):
+            assert world.units[number].at_rest()
+            await another(world, number)
+
+    run(main, count=2, simulate={"modes": [1, 6, mode]}, **SMOOTH)
+
+
+def test_a_host_that_is_too_busy_is_said_and_nothing_goes_on() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000)})
+        world.late_ns = lambda at_ns: 3 * NS_PER_MS if at_ns > t0_ns + 300 * NS_PER_MS else 0
+        _, outcome = await followed(world)
+        assert outcome.state == "fault"
+        assert "too busy (underrun)" in outcome.reason
+        await world.rest(400)
+        assert world.unit.at_rest()
+        world.late_ns = lambda at_ns: 0
+        await another(world, 0)
+
+    run(main, **SMOOTH)
+
+
+@pytest.mark.parametrize("abort", [False, True])
+@pytest.mark.parametrize("when_ms", [-30, 5, 203, 399])
+def test_a_stop_in_a_stream_brakes_by_the_axis_limits_and_leaves_nothing_waiting(when_ms: int, abort: bool) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
+        await world.until(t0_ns + when_ms * NS_PER_MS)
+        speed = abs(world.unit.velocity("1"))
+        for driver in world.drivers:
+            await driver.stop(abort)
+        stopped_ns = world.clock.now_ns()
+        await asyncio.wait(following)
+        for each in following:
+            if when_ms > 0:
+                assert each.result()[1].state == "stopped"
+            else:
+                assert each.exception() is not None
+        await world.rest(300)
+        assert all(unit.at_rest() for unit in world.units)
+        if when_ms > 0:
+            ramp_ns = speed / ACCELERATION * NS_PER_S
+            assert world.unit.motions[-1].end_ns <= stopped_ns + ramp_ns + 2 * NS_PER_MS
+        places = [unit.position("1") for unit in world.units]
+        # Whoever sends a SYNC now moves nothing.
+        link = await world.wire.open()
+        link.write(encode(CanFrame(0x080)))
+        await world.rest(50)
+        assert [unit.position("1") for unit in world.units] == places
+        for driver in world.drivers:
+            await driver.enable(["a"], True)
+        await another(world, 0)
+        await another(world, 1)
+
+    run(main, count=2, options={"quick_stop_acceleration": ACCELERATION}, **SMOOTH)
+
+
+def test_one_that_stops_does_not_hold_up_the_other() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
+        await world.until(t0_ns + 300 * NS_PER_MS)
+        await world.drivers[0].stop(False)
+        assert [(await each)[1].state for each in following] == ["stopped", "done"]
+        assert world.units[1].position("1") == 40_000
+        assert world.units[0].position("1") < 30_000
+        await another(world, 0)
+
+    run(main, count=2, **SMOOTH)
+
+
+def test_what_is_disarmed_before_its_stream_does_not_start_with_others() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        await world.until(t0_ns - 20 * NS_PER_MS)
+        await world.drivers[0].disarm()
+        _, outcome = await followed(world, 1)
+        assert outcome.state == "done"
+        assert not world.units[0].motions
+        await another(world, 0)
+
+    run(main, count=2, **SMOOTH)
+
+
+def test_a_trapezoid_and_a_stream_start_by_one_sync_and_other_starts_wait() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        driver = world.drivers[1]
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: profiles(0, 40_000)})
+        with pytest.raises(CannotDo) as caught:
+            await world.arm(2, 1000, t0_ns + 300 * NS_PER_MS)
+        assert caught.value.refusal.code == "bus-busy"
+        assert "streams positions" in caught.value.refusal.text
+        ends = await asyncio.gather(followed(world, 0), followed(world, 1))
+        assert [outcome.state for _, outcome in ends] == ["done", "done"]
+        starts = [unit.motions[-1].start_ns for unit in world.units[:2]]
+        assert abs(starts[0] - starts[1]) < 150_000
+        for (span, outcome), unit in zip(ends, world.units, strict=False):
+            assert span.earliest_ns <= unit.motions[-1].start_ns <= span.latest_ns
+            assert outcome.ended["a"].earliest_ns <= unit.motions[-1].end_ns <= outcome.ended["a"].latest_ns
+        # And the other way round, on the same drives.
+        await released(world, {0: profiles(40_000, 0), 1: smooth(40_000, 0)})
+        ends = await asyncio.gather(followed(world, 0), followed(world, 1))
+        assert [outcome.state for _, outcome in ends] == ["done", "done"]
+        await driver.jog("a", JogMove(10_000, 100_000, 2_000))
+        await world.rest(600)
+        assert world.units[1].position("1") == 2_000
+
+    run(main, count=3, **SMOOTH)
+
+
+def test_a_drive_that_follows_no_positions_is_refused_with_a_remedy() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        assert world.driver.capabilities.orders == (2, 3)
+        with pytest.raises(CannotDo) as caught:
+            world.driver.lower(smooth(0, 40_000), StartWay(), None)
+        assert caught.value.refusal.code == "jerk"
+        assert "6502h" in caught.value.refusal.text and "leave `jerk` out" in caught.value.refusal.remedy
+        await world.go()
+        await world.driver.started()
+        assert (await world.driver.outcome()).state == "done"
+
+    run(main, simulate={"modes": [1, 3, 6]}, **SMOOTH)
+
+
+def test_more_than_the_bus_can_carry_is_refused() -> None:
+    async def main(world: Drives) -> None:
+        with pytest.raises(CannotDo) as caught:
+            world.driver.lower(smooth(0, 40_000), StartWay(), None)
+        assert caught.value.refusal.code == "bus-load"
+        assert "period_ms" in caught.value.refusal.remedy
+
+    run(main, count=8, options={"period_ms": 3}, **SMOOTH)
+
+
+def test_drives_of_one_bus_that_want_another_period_are_refused() -> None:
+    async def main(world: Drives) -> None:
+        its = config(2, {"period_ms": 20}, **SMOOTH)
+        options = MAKE.options.model_validate(its.options)
+        firer, shared = LoopFirer(world.clock), {SHARED: world.shared[SHARED]}
+        other = MAKE.driver(Setup("d2", its, options, world.clock, world.wire.open, firer, shared))
+        with pytest.raises(DriverFault, match="period_ms"):
+            await other.connect()
+
+    run(main, **SMOOTH)
+
+
+def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000)})
+        await world.driver.started()
+        await world.until(t0_ns + 300 * NS_PER_MS)
+        world.wire.links[0].hang_up()
+        with pytest.raises(LinkClosed):
+            await world.driver.outcome()
+        await world.rest(400)
+        assert world.unit.at_rest()
+        assert 0 < world.unit.position("1") < 40_000
+        await world.driver.close()
+        await world.driver.connect()
+        await world.driver.configure()
+        reading = await world.driver.poll()
+        assert any("SYNC lost (8700h)" in fault.text for fault in reading.faults)
+        await world.driver.clear_faults()
+        await world.driver.enable(["a"], True)
+        await another(world, 0)
+
+    run(main, **SMOOTH)
+
+
+@pytest.mark.parametrize("trouble", ["power", "fault", "bus-off", "cut"])
+def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
+        await world.until(t0_ns + 300 * NS_PER_MS)
+        if trouble == "power":
+            world.unit.set_power(False)
+        elif trouble == "fault":
+            world.unit.station.drive.fault(0x4310, 0)
+        elif trouble == "bus-off":
+            node = world.bus._nodes[-1]
+            node.transmit_errors = 255
+            world.bus.disturb(1)
+        else:
+            world.bus.cut = True
+        _, outcome = await following[0]
+        assert outcome.state == "fault"
+        words = {"power": "has not answered", "fault": "(4310h)", "bus-off": "bus-off", "cut": "has not answered"}
+        assert words[trouble] in outcome.reason
+        if trouble in ("power", "fault"):
+            # The other one is stopped by whoever has started both.
+            await world.drivers[1].stop(False)
+        assert (await following[1])[1].state in ("fault", "stopped")
+        await world.rest(600)
+        assert all(unit.at_rest() for unit in world.units)
+
+    run(main, count=2, **SMOOTH)
