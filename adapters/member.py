@@ -133,6 +133,7 @@ class Member:
             self.ticket = ticket
             self._spawn(self._expire(ticket))
             return Armed(
+                durations_s=dict(lowered.durations_s),
                 terms=list(lowered.terms),
                 edge=list(lowered.edge),
                 mapping=None if mapping is None else clock_mapping(self._controller, mapping, began_ns),

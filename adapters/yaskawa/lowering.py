@@ -17,7 +17,7 @@ from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
 from adapters.yaskawa.registers import exact_ramp
-from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit
+from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit, last_sample
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
@@ -160,6 +160,8 @@ def lower_moves(
     }
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
     shapes, why = _by_registers(way, bounds, tick_ns, model)
+    if shapes is not None and how.exact and how.wait is None:
+        shapes = _ending_with_the_plan(shapes, way, bounds, mapping, how.lead_ns, model)
     load: Registers | Records
     note: tuple[str, ...] = ()
     slow = isinstance(packets, arrays.SlowUpload)
@@ -199,11 +201,36 @@ def _by_registers(
     return shapes, reasons[0] if reasons else ""
 
 
+def _ending_with_the_plan(
+    shapes: Mapping[str, Trapezoid],
+    way: Mapping[str, Profile],
+    bounds: Mapping[str, Bounds],
+    mapping: TickMapping,
+    lead_ns: int,
+    model: Model,
+) -> dict[str, Trapezoid]:
+    """The same moves, ending at the samples next to the plan's end, where the registers can do that as well."""
+    at = mapping.ticks(mapping.host_at_ns + lead_ns)
+    phase = round(at) - at
+    found = dict(shapes)
+    for axis, profile in way.items():
+        shape = fit(axis, profile, bounds[axis], mapping.tick_ns, model, phase)
+        in_time = shape.samples == last_sample(profile, mapping.tick_ns, phase)
+        if in_time and _near(shape, profile, mapping.tick_ns):
+            found[axis] = shape
+    return found
+
+
 def _suffices(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:
     in_time = abs(shape.off) <= OFF_SAMPLES
     held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
+    return (in_time or held) and _near(shape, profile, tick_ns)
+
+
+def _near(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:
+    """Whether it keeps near its plan on the way."""
     peak = profile.peak_velocity * tick_ns * 1e-9
-    return (in_time or held) and shape.path_error_counts <= max(NEAR_COUNTS, SKEW_SAMPLES * peak)
+    return shape.path_error_counts <= max(NEAR_COUNTS, SKEW_SAMPLES * peak)
 
 
 def _registers(shapes: Mapping[str, Trapezoid], way: Mapping[str, Profile], motors: Mapping[str, int]) -> Registers:

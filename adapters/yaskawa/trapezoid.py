@@ -4,6 +4,9 @@ The controller counts in samples. Its profile generator changes speed by AC/2^20
 SP/2^10 counts a sample (L2293, L10032), brakes with DC, and puts out its last position at the first whole sample after
 the continuous trapezoid has ended (L12829-12837). The registers are coarse, so all three are searched together: for
 the duration, and for the smallest distance to the plan. None goes beyond the axis's limits.
+
+Once it is known how the samples lie about T0, it is known at which of them the move should end: the one next to the
+end of the plan. Without that, a move may begin half a sample beside T0 and end a whole one beside where it should.
 """
 
 import heapq
@@ -91,8 +94,16 @@ class _Law:
         return self.peak / self.up, self.length - self.peak / self.down
 
 
-def fit(name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model) -> Trapezoid:
-    """The registers for `profile` that come nearest. tick_ns: length of a sample in host time.
+def last_sample(profile: Profile, tick_ns: float, phase: float) -> int:
+    """The sample, from the one of the begin on, next to the end of the plan. phase: samples from T0 to the begin."""
+    return round(profile.duration_s * 1e9 / tick_ns - phase)
+
+
+def fit(
+    name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model, phase: float | None = None
+) -> Trapezoid:
+    """The registers for `profile` that come nearest. tick_ns: length of a sample in host time. phase: samples from T0
+    to the begin, if known: then any duration is as good as another that ends at the same sample.
 
     Raises `CannotDo` naming what would fit.
     """
@@ -118,27 +129,30 @@ def fit(name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Mode
         )
     way = float(abs(distance))
     planned, ramp = profile.duration_s / tick_s, ramp_s / tick_s
+    last = planned if phase is None else last_sample(profile, tick_ns, phase)
+    early, late = (planned - NEAR, planned + NEAR) if phase is None else (last - 1 + NEAR, last - NEAR)
+    wanted = min(max(planned, early), late)
     plan_speed = way / (planned - ramp)
     plan = _Law.of(way, plan_speed, plan_speed / ramp, plan_speed / ramp)
     weight = OFF_WEIGHT * plan.peak
 
     def rank(candidates: Iterator[tuple[int, int, int]]) -> list[tuple[float, int, int, int]]:
         return [
-            (weight * max(0.0, abs(length - planned) - NEAR) + apart, speed, up, down)
+            (weight * max(0.0, early - length, length - late) + apart, speed, up, down)
             for speed, up, down in set(candidates)
             for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)]
         ]
 
-    ranked = rank(_by_speed(plan, planned, top_speed, top_ramp, model))
+    ranked = rank(_by_speed(plan, wanted, top_speed, top_ramp, model))
     if min(ranked)[0] > GOOD * plan.peak:
-        ranked += rank(_by_ramps(plan, planned, top_speed, top_ramp, model))
+        ranked += rank(_by_ramps(plan, wanted, top_speed, top_ramp, model))
     best: Trapezoid | None = None
     best_rank = math.inf
     for _, speed, up, down in heapq.nsmallest(FINALISTS, ranked):
         law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
         off = law.length - planned
         error = _path_error(profile, law, tick_s)
-        real_rank = weight * max(0.0, abs(off) - NEAR) + error
+        real_rank = weight * max(0.0, early - law.length, law.length - late) + error
         if real_rank < best_rank:
             at_limit = off > 0.0 and (speed == top_speed or up == top_ramp)
             best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, error), real_rank

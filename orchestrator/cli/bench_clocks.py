@@ -68,18 +68,25 @@ def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: i
     if as_json:
         print_json({"rows": [row._asdict() for row in rows], "trials": trials, "seed": seed, "history_s": history})
         return
-    table = plain_table(["start skew, ms", "p50>", "p99>", "max>", "end>", "path>", "budget>", "n>", "missed>"])
+    table = plain_table(
+        ["start skew, ms", "p50>", "p99>", "max>", "end>", "path>", "budget>", "width>", "n>", "missed>"]
+    )
     for row in rows:
-        later = (row.end_p99, row.path_p99, row.budget)
+        later = (row.end_p99, row.path_p99, row.budget, row.width)
         figures = (row.start_p50, row.start_p99, row.start_max, *later)
         shown = ["" if each is None else f"{each:.3g}" for each in figures]
         table.add_row(f"{row.fleet}, {row.way}", *shown, str(row.trials), "" if row.misses is None else str(row.misses))
     console.print(table)
-    console.print("end, path: p99 of the skew at the end and on the way; budget: predicted, guaranteed, its median.")
+    console.print(
+        "end, path: p99 of the skew at the end and on the way; budget: predicted, guaranteed, its median; "
+        "width: of the verdict's interval, p99; missed: verdicts that do not hold the truth."
+    )
     for row in rows:
         if row.asked:
             kept = "kept" if row.met else "[red]not kept[/]"
-            console.print(f"{row.fleet}, {row.way}: asked {row.asked}: {kept}; worst is {row.worst}")
+            console.print(
+                f"{row.fleet}, {row.way}: asked {row.asked}, width {row.width_most}: {kept}; worst is {row.worst}"
+            )
 
 
 def _live(steps: int, as_json: bool) -> None:

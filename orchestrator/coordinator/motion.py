@@ -36,8 +36,8 @@ from orchestrator.plan.step import Targets, plan_step
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
 STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other member on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
-VAGUE = 2  # evidence that is so many times wider than the promise is narrowed by it
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
+ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
 
@@ -122,9 +122,11 @@ class Motion:
         members = list(dict.fromkeys(name.partition(".")[0] for name in names))
         states: dict[str, AxisState] = {}
         infos: dict[str, Info] = {}
+        instances: dict[str, str] = {}
         for member in members:
             try:
                 state = await self._view.fresh(member)
+                instances[member] = state.instance
                 infos[member] = await self._view.info(member)
             except BusError as error:
                 raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
@@ -145,7 +147,7 @@ class Motion:
             plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
         except PlanError as error:
             raise Refuse("plan", str(error)) from None
-        return Moving(job_id, index, job.actor, resolved, plan)
+        return Moving(job_id, index, job.actor, resolved, plan, instances)
 
     # Arm, commit, go
 
@@ -196,12 +198,17 @@ class Motion:
         await self._go(moving)
 
     async def _await_alignment(self, moving: Moving, step: Move) -> None:
-        """Wait until arming leads to the moment at which the members' ticks fall closest together, and ask again: by
-        then they know their clocks better."""
-        soonest_ns = self._throne.fleet_now_ns() + moving.lead_ns
-        best_ns = self._proposing.start(moving, soonest_ns, step.align)
-        await sleep_ns(self._clock, max(0, best_ns - soonest_ns - ALIGN_EARLY_NS))
-        await self._proposing.again(moving, step, 1)
+        """Wait until arming leads to the moment at which the members' ticks fall closest together. They are asked
+        again on the way, because the nearer it is, the better do they know when."""
+        ends_ns = self._throne.fleet_now_ns() + moving.lead_ns + step.align
+        while True:
+            soonest_ns = self._throne.fleet_now_ns() + moving.lead_ns
+            best_ns = self._proposing.start(moving, soonest_ns, max(0, ends_ns - soonest_ns))
+            wait_ns = best_ns - soonest_ns - ALIGN_EARLY_NS
+            await sleep_ns(self._clock, max(0, wait_ns if wait_ns < ALIGN_ASK_NS else wait_ns // 2))
+            await self._proposing.again(moving, step, 1)
+            if wait_ns < ALIGN_ASK_NS:
+                return
 
     async def _arm(self, moving: Moving, step: Move) -> None:
         requests = {
@@ -300,6 +307,10 @@ class Motion:
         silent = [member for member in sorted(waiting_end) if self._view.silent(member)]
         if silent:
             return "failed", f"{silent[0]}: its adapter is silent"
+        # Who died and is back already was never silent for long, and knows nothing of the step.
+        anew = [member for member in sorted(waiting_end) if self._is_anew(moving, member)]
+        if anew:
+            return "failed", f"{anew[0]}: its adapter was started anew"
         lost = moving.lost_permit()
         if lost is not None:
             return "failed", lost
@@ -311,6 +322,10 @@ class Motion:
         if waiting_end and now_ns > ends_ns + SETTLE_NS:
             return "failed", f"{min(waiting_end)}: has not come to its end"
         return None
+
+    def _is_anew(self, moving: Moving, member: str) -> bool:
+        state = self._view.state(member)
+        return state is not None and state.instance != moving.instances.get(member, state.instance)
 
     async def _next_event(self, moving: Moving) -> Event | None:
         """The next event about this step; None after a while, or when a permit was lost."""
@@ -327,11 +342,11 @@ class Motion:
         return event if about and not stale else None
 
     def _narrowed(self, moving: Moving, member: str, evidence: AxisEvidence) -> AxisEvidence:
-        """With the start by both, where the controller's evidence says much less than what the member has promised,
-        e.g. because a serial adapter holds answers back. Where they disagree, something was outside the model."""
+        """With the start by both, where the controller's evidence says less than what the member has promised, e.g.
+        because a serial adapter holds answers back. Where they disagree, something was outside the model."""
         window = moving.budget.members.get(member) if moving.budget is not None else None
         said_ns = evidence.start.latest_ns - evidence.start.earliest_ns
-        if window is None or said_ns <= VAGUE * (window.latest_ns - window.earliest_ns):
+        if window is None or said_ns <= window.latest_ns - window.earliest_ns:
             return evidence
         earliest_ns = max(evidence.start.earliest_ns, moving.t0_fleet_ns + window.earliest_ns)
         latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns)
@@ -349,7 +364,7 @@ class Motion:
             stages_ns=armed.stages_ns,
             mapping=armed.mapping,
             planned_s={axis: profile.duration_s for axis, profile in profiles.items()},
-            lowered_s=proposal.durations_s,
+            lowered_s=armed.durations_s,
         )
 
     def _report(

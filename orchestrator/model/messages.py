@@ -153,8 +153,10 @@ class Arm(StepRef):
 
 
 class Armed(Reply):
-    """The step is loaded. terms, edge: as in the proposal, with the clock mapping that is frozen into it, at T0."""
+    """The step is loaded. durations_s, terms, edge: as in the proposal, with the clock mapping that is frozen into it,
+    at T0."""
 
+    durations_s: dict[str, float] = Field(default={})
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[])
     mapping: ClockMapping | None = None

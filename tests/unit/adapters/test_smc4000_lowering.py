@@ -215,3 +215,19 @@ def test_registers_of_a_triangle_and_of_one_count():
         assert math.isfinite(shape.length) and shape.samples >= 1
         lowered = lower({"x": profile})
         assert lowered.durations_s["x"] < 0.02
+
+
+@pytest.mark.parametrize("lead_ns", range(1_000_000_000, 1_001_000_000, 130_000))
+def test_a_move_ends_at_the_sample_next_to_the_plans_end_once_its_begin_is_known(lead_ns: int):
+    """Not half a sample beside T0 at its begin, and up to a whole one more at its end."""
+    draw, clock = Random(lead_ns), mapping(TICK_NS * (1 + 40e-6))
+    t0_ns = clock.host_at_ns + lead_ns
+    for _ in range(20):
+        way = draw.randrange(200_000, 3_000_000)
+        profile = plan_step([AxisMove("x", 0, way, draw.uniform(20_000, 80_000), 4e5, None, order=2)]).profiles["x"]
+        motors, how = {"x": 0}, StartWay(lead_ns=lead_ns, exact=True)
+        lowered = lower_moves(CONFIG, motors, Options(), COSTS, {"x": profile}, how, clock)
+        start_ns = clock.host_ns(round(clock.ticks(t0_ns)))
+        end_ns = start_ns + lowered.moves[0].samples * clock.tick_ns
+        assert isinstance(lowered.load, Registers)
+        assert abs(end_ns - t0_ns - profile.duration_s * 1e9) <= 0.501 * clock.tick_ns
