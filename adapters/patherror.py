@@ -21,11 +21,17 @@ def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float
     executed: list[_Piece] = []
     clock_s = position = 0.0
     for duration_s, speed, acceleration in legs:
+        if duration_s <= 0.0:  # it would hide what begins at the same instant
+            continue
         executed.append((clock_s, sign * position, sign * speed, sign * acceleration))
         clock_s += duration_s
         position += duration_s * (speed + duration_s * acceleration / 2)
     executed.append((clock_s, float(distance), 0.0, 0.0))
-    planned = [(each.start_s, each.position, each.velocity, each.acceleration) for each in profile.segments]
+    planned = [
+        (each.start_s, each.position, each.velocity, each.acceleration)
+        for each in profile.segments
+        if each.duration_s > 0.0
+    ]
     planned.append((profile.duration_s, float(distance), 0.0, 0.0))
     worst = 0.0
     for begin_s, end_s in pairwise(sorted({each[0] for each in (*executed, *planned)})):

@@ -366,7 +366,10 @@ class Mover:
             self.move = None
         if not reasons:
             return Outcome("done", ended)
-        await self._unit.buffers.make_harmless(self._unit.excited)
+        if any(each.word & ERRORS for each in move.seen.values()):
+            self._unit.untidy = True  # an emergency stop lets nothing be overwritten, and nothing start
+        else:
+            await self._unit.buffers.make_harmless(self._unit.excited)
         if move.stopped_ns is not None and not error:
             return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
         return Outcome("fault", ended, "; ".join(reasons))

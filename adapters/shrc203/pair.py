@@ -64,13 +64,24 @@ def _found(distance: int, moving_s: float, bounds: Bounds, gap_s: float) -> Iter
     if moving_s <= FIRST_S:
         return
     lowest, _, fastest = start_speeds(bounds)
-    mean = floor(distance / moving_s)
-    for slow in range(max(lowest, mean), min(mean + 2, fastest)):
+    for kinds in product(_RAMPS, repeat=2):
+        slow = _slow(distance, moving_s, kinds, bounds)
+        if not lowest <= slow < fastest:
+            continue
         for speeds in ((slow + 1, slow), (slow, slow + 1)):
-            for ramps in product(*([_least(f, each, bounds) for each in _RAMPS] for f in speeds)):
-                pair = _tuned(distance, moving_s, speeds, ramps, bounds, gap_s)
-                if pair is not None and pair.first.duration_s >= FIRST_S:
-                    yield pair
+            ramps = tuple(_least(f, kind, bounds) for f, kind in zip(speeds, kinds, strict=True))
+            pair = _tuned(distance, moving_s, speeds, ramps, bounds, gap_s)
+            if pair is not None and pair.first.duration_s >= FIRST_S:
+                yield pair
+
+
+def _slow(distance: int, moving_s: float, kinds: tuple[tuple[int, float], ...], bounds: Bounds) -> int:
+    """The whole speed below the one that is needed outside these ramps; 0 when they take all the time."""
+    slow = floor(distance / moving_s)
+    for _ in range(2):  # what is lost with the ramps depends on the speed again, but little
+        left_s = moving_s - sum(_least(slow + 1, kind, bounds).lost_s(slow + 1) for kind in kinds)
+        slow = floor(distance / left_s) if left_s > 0 else 0
+    return slow
 
 
 def _least(f: int, ramp: tuple[int, float], bounds: Bounds) -> _Ramp:
