@@ -47,7 +47,7 @@ class LineStart:
 class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
 
-    arming_fleet_ns: when the last arming began.
+    arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
     """
 
     job_id: str
@@ -55,6 +55,7 @@ class Moving:
     actor: str
     resolved: Resolved
     plan: Plan
+    instances: dict[str, str] = field(default_factory=dict[str, str])
     line: LineStart | None = None
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
