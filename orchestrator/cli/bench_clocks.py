@@ -68,25 +68,32 @@ def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: i
     if as_json:
         print_json({"rows": [row._asdict() for row in rows], "trials": trials, "seed": seed, "history_s": history})
         return
-    table = plain_table(
-        ["start skew, ms", "p50>", "p99>", "max>", "end>", "path>", "budget>", "width>", "n>", "missed>"]
-    )
+    table = plain_table(["skew, ms", "p50>", "p99>", "max>", "bound>", "end>", "path>"])
     for row in rows:
-        later = (row.end_p99, row.path_p99, row.budget, row.width)
-        figures = (row.start_p50, row.start_p99, row.start_max, *later)
-        shown = ["" if each is None else f"{each:.3g}" for each in figures]
-        table.add_row(f"{row.fleet}, {row.way}", *shown, str(row.trials), "" if row.misses is None else str(row.misses))
+        figures = (row.start_p50, row.start_p99, row.start_max, row.bound_p99, row.end_p99, row.path_p99)
+        table.add_row(f"{row.fleet}, {row.way}", *map(_figure, figures))
     console.print(table)
     console.print(
-        "end, path: p99 of the skew at the end and on the way; budget: predicted, guaranteed, its median; "
-        "width: of the verdict's interval, p99; missed: verdicts that do not hold the truth."
+        "of starts; bound: the p99 that nobody can do better than; end, path: p99 at the end and on the way\n"
+    )
+    table = plain_table(["said of the starts, ms", "budget>", "width>", "asked>", "trials>", "missed>"])
+    for row in rows:
+        if row.misses is not None:
+            figures = (row.budget, row.width, row.width_most)
+            table.add_row(f"{row.fleet}, {row.way}", *map(_figure, figures), str(row.trials), str(row.misses))
+    console.print(table)
+    console.print(
+        "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and what is asked of it; "
+        "missed: verdicts that do not hold the truth\n"
     )
     for row in rows:
         if row.asked:
             kept = "kept" if row.met else "[red]not kept[/]"
-            console.print(
-                f"{row.fleet}, {row.way}: asked {row.asked}, width {row.width_most}: {kept}; worst is {row.worst}"
-            )
+            console.print(f"{row.fleet}, {row.way}: asked {row.asked}: {kept}; worst is {row.worst}")
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
 
 
 def _live(steps: int, as_json: bool) -> None:

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.sync_baselines import BASELINES, Baseline
-from orchestrator.lab.sync_fleets import sync_fleet
+from orchestrator.lab.sync_bounds import Bound, drifting_ticks, latencies, ticks
+from orchestrator.lab.sync_fleets import PP_SPREAD_MS, sync_fleet
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
@@ -30,7 +31,8 @@ class Case:
     """A row: a fleet, and how it moves.
 
     cruise_s: at half the speed limit. step: more fields of the move. trials: share of those asked for. steps_a_world:
-    few where it matters how different the crystals are. most_ms: what its figures may be at the most.
+    few where it matters how different the crystals are. most_ms: what its figures may be at the most. bound: the p99 of
+    its start skew that nobody can do better than, where that is known.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Case:
     steps_a_world: int = STEPS_A_WORLD
     asked: str = ""
     most_ms: dict[str, float] = field(default_factory=dict[str, float])
+    bound: Bound | None = None
 
 
 TICK_MS = 1000 / 1024
@@ -51,8 +54,16 @@ CASES = (
         "8 SMC-4000",
         asked="p99 1 tick + 0.15 ms, p50 0.7 tick",
         most_ms={"start_p99": TICK_MS + 0.15, "start_p50": 0.7 * TICK_MS},
+        bound=ticks(8, TICK_MS),
     ),
-    Case("clock", "64 SMC-4000", trials=0.1, asked="p99 1 tick + 0.2 ms", most_ms={"start_p99": TICK_MS + 0.2}),
+    Case(
+        "clock",
+        "64 SMC-4000",
+        trials=0.1,
+        asked="p99 1 tick + 0.2 ms",
+        most_ms={"start_p99": TICK_MS + 0.2},
+        bound=ticks(64, TICK_MS),
+    ),
     Case(
         "clock, align 10 s",
         "2 SMC-4000",
@@ -60,6 +71,7 @@ CASES = (
         steps_a_world=4,
         asked="p50 0.12, p99 0.5 ms",
         most_ms={"start_p50": 0.12, "start_p99": 0.5},
+        bound=drifting_ticks(10, TICK_MS),
     ),
     Case(
         "clock, align 300 s",
@@ -69,6 +81,7 @@ CASES = (
         trials=0.3,
         asked="p99 0.3 ms",
         most_ms={"start_p99": 0.3},
+        bound=drifting_ticks(300, TICK_MS),
     ),
     Case(
         "clock, contour",
@@ -77,6 +90,7 @@ CASES = (
         trials=0.5,
         asked="path p99 0.3 ms",
         most_ms={"path_p99": 0.3},
+        bound=ticks(8, TICK_MS),
     ),
     Case(
         "clock, 60 s",
@@ -85,19 +99,33 @@ CASES = (
         trials=0.3,
         asked="end, path p99 1 tick + 0.3 ms",
         most_ms={"end_p99": TICK_MS + 0.3, "path_p99": TICK_MS + 0.3},
+        bound=ticks(8, TICK_MS),
     ),
-    Case("clock", "8 SMC-2000, own ports", asked="p99 2 ms", most_ms={"start_p99": 2.0}),
-    Case("clock", "8 SMC-2000, one chain", trials=0.2),
+    Case(
+        "clock",
+        "8 SMC-2000, own ports",
+        asked="p99 2 ms",
+        most_ms={"start_p99": 2.0},
+        bound=ticks(8, TICK_MS),
+    ),
+    Case("clock", "8 SMC-2000, one chain", trials=0.2, bound=ticks(8, TICK_MS)),
     Case("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
     Case("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
     Case("line", "mixed, lines", step={"start": "line"}, trials=0.5),
-    Case("best", "mixed with pp", asked="p99 9 ms", most_ms={"start_p99": 9.0}),
+    # Two units that begin up to 15 ms later than told can not be told better, unless by a line or by their own clock.
+    Case(
+        "best",
+        "mixed with pp",
+        asked="p99 9 ms",
+        most_ms={"start_p99": 9.0},
+        bound=latencies(PP_SPREAD_MS),
+    ),
 )
 
 
 class SyncFigures(NamedTuple):
     """Skews in ms: of starts, ends, and on the way. budget: predicted, guaranteed, its median. width: of the verdict's
-    interval, 99 in 100 are narrower; width_most: what is asked of it. misses: verdicts that do not hold the truth.
+    interval; 99 in 100 are narrower; width_most: what is asked of it. misses: verdicts that do not hold the truth.
     worst: member and term that the budget names."""
 
     fleet: str
@@ -106,6 +134,7 @@ class SyncFigures(NamedTuple):
     start_p50: float
     start_p99: float
     start_max: float
+    bound_p99: float | None
     end_p99: float | None
     path_p99: float | None
     budget: float | None
@@ -160,7 +189,7 @@ def _baseline(baseline: Baseline, trials: int, seed: int) -> tuple[SyncFigures, 
         run_virtual(lambda clock, k=k: baseline.trial(clock, Random(f"{seed} {k}"))) / 1e6 for k in range(trials)
     ]
     figures = SyncFigures(
-        baseline.fleet, baseline.way, trials, *_spread(skews_ms), None, None, None, None, None, None, "", "", None
+        baseline.fleet, baseline.way, trials, *_spread(skews_ms), None, None, None, None, None, None, None, "", "", None
     )
     return figures, skews_ms
 
@@ -178,6 +207,7 @@ def _row(case: Case, trials: int, seed: int, history_s: int) -> tuple[SyncFigure
         way=case.name,
         trials=len(found),
         **dict(zip(("start_p50", "start_p99", "start_max"), _spread(starts), strict=True)),
+        bound_p99=None if case.bound is None else round(case.bound(), 3),
         end_p99=_share([each.end_ns / 1e6 for each in found], 0.99),
         path_p99=_share([each.path_ns / 1e6 for each in found], 0.99),
         budget=_share([each.budget_ns / 1e6 for each in found], 0.5),

@@ -7,6 +7,7 @@ from typing import Any
 from orchestrator.model.fleet import Fleet
 
 SPREAD_US = 50  # of a Yaskawa's firmware; its half millisecond a command is in the manuals
+PP_SPREAD_MS = 15.0  # of a pp-electronic SMC, behind a Windows tick: nothing in it is steadier
 HOLD_MS = 16.0  # the latency timer of a USB serial adapter
 DRIFT_PPM = 50.0
 WANDER_PPM = 0.05
@@ -82,8 +83,8 @@ def smc30(number: int, unit: int) -> dict[str, Any]:
 
 def ppsmc(number: int) -> dict[str, Any]:
     link = {"kind": "tcp", "host": f"10.0.1.{number + 1}", "port": 1234}
-    # Behind a Windows tick: nothing in it is steadier.
-    simulate = {"options": {"axes": 1, "org_steps": {"1": [-9000, -2000]}}, "decode_us": 5000, "spread_us": 15_000}
+    options = {"axes": 1, "org_steps": {"1": [-9000, -2000]}}
+    simulate = {"options": options, "decode_us": 5000, "spread_us": round(PP_SPREAD_MS * 1000)}
     return _controller("ppsmc", link, _PULSES, "1", simulate)
 
 
