@@ -1,11 +1,11 @@
-"""`tutti bench clock` and `tutti bench sync`: how well clocks are known, and how well fleets start and end together."""
+"""`tutti bench clock`, `firing` and `sync`: how well clocks are known, bytes on time, and fleets together."""
 
 import tempfile
 from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import console, json_option, print_json, run
+from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 
 @click.command(epilog="Example: tutti bench clock --trials 1000")
@@ -94,6 +94,35 @@ def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: i
 
 def _figure(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
+
+
+@click.command(epilog="Example: tutti bench firing --shots 1000 --json")
+@json_option
+@click.option("--shots", default=500, show_default=True, type=click.IntRange(100, 100_000), help="Bytes, each way.")
+def firing(as_json: bool, shots: int) -> None:
+    """Measure how late the last byte of a start is written, live, on an idle machine and beside a fleet of 16.
+
+    The firing process needs the right to real-time priority; without it, whatever else runs delays it by milliseconds.
+    """
+    from orchestrator.lab.bench_firing import CONTROLLERS, bench_firing
+    from orchestrator.lab.bench_truth import NothingHappened
+    from orchestrator.monitor.tables import plain_table
+
+    with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:
+        try:
+            figures = run(bench_firing(Path(folder), shots))
+        except NothingHappened as error:
+            fail(str(error))
+    if as_json:
+        print_json({name: each._asdict() for name, each in figures._asdict().items()})
+        return
+    table = plain_table(["written late by", "n>", "p50, µs>", "p99, µs>", "max, µs>", "asked", "met"])
+    words = ("firing process, idle", f"…, {CONTROLLERS} read at 10 Hz", "event loop, idle", "…, beside the same")
+    for name, each in zip(words, figures, strict=True):
+        spans = (f"{ms * 1000:.0f}" for ms in (each.p50_ms, each.p99_ms, each.max_ms))
+        met = "" if each.met is None else "yes" if each.met else "NO"
+        table.add_row(name, str(each.n), *spans, each.asked, met)
+    console.print(table)
 
 
 def _live(steps: int, as_json: bool) -> None:

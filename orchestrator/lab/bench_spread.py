@@ -30,7 +30,7 @@ def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: flo
         asked, met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
     elif max_ms is not None:
         asked, met = f"max < {max_ms:g} ms", ordered[-1] < max_ms
-    return Spread(len(ordered), round(p50, 2), round(p99, 2), round(ordered[-1], 2), asked, met)
+    return Spread(len(ordered), round(p50, 3), round(p99, 3), round(ordered[-1], 3), asked, met)
 
 
 class Noise:
