@@ -103,7 +103,8 @@ def fit(
     name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model, phase: float | None = None
 ) -> Trapezoid:
     """The registers for `profile` that come nearest. tick_ns: length of a sample in host time. phase: samples from T0
-    to the begin, if known: then any duration is as good as another that ends at the same sample.
+    to the begin, if known: then any duration is as good as another that ends at the same sample, and near to the plan
+    is what is near to it about T0, so that the ramp up makes good for the begin beside it.
 
     Raises `CannotDo` naming what would fit.
     """
@@ -140,7 +141,7 @@ def fit(
         return [
             (weight * max(0.0, early - length, length - late) + apart, speed, up, down)
             for speed, up, down in set(candidates)
-            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)]
+            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT, phase or 0.0)]
         ]
 
     ranked = rank(_by_speed(plan, wanted, top_speed, top_ramp, model))
@@ -151,11 +152,12 @@ def fit(
     for _, speed, up, down in heapq.nsmallest(FINALISTS, ranked):
         law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
         off = law.length - planned
-        error = _path_error(profile, law, tick_s)
+        error = _path_error(profile, law, tick_s, phase or 0.0)
         real_rank = weight * max(0.0, early - law.length, law.length - late) + error
         if real_rank < best_rank:
             at_limit = off > 0.0 and (speed == top_speed or up == top_ramp)
-            best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, error), real_rank
+            beside = error if phase is None else _path_error(profile, law, tick_s, 0.0)
+            best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, beside), real_rank
     assert best is not None
     return best
 
@@ -224,9 +226,9 @@ def _by_ramps(
                 yield min(max(speed, model.speed_step), top_speed), up, down
 
 
-def _rough(plan: _Law, speed: float, up: float, down: float) -> tuple[float, float]:
+def _rough(plan: _Law, speed: float, up: float, down: float, phase: float) -> tuple[float, float]:
     """The duration in samples, and a quick measure of the distance to the plan in counts: that of the two cruises,
-    drawn out over the time between the plan's ramps."""
+    drawn out over the time between the plan's ramps, when this one begins `phase` samples later."""
     ramps = 1.0 / up + 1.0 / down
     if plan.way >= speed * speed / 2 * ramps:
         length = plan.way / speed + speed / 2 * ramps
@@ -235,12 +237,12 @@ def _rough(plan: _Law, speed: float, up: float, down: float) -> tuple[float, flo
         length = speed * ramps
     rise, fall = plan.joints
     faster = speed - plan.peak
-    behind = (speed * speed / up - plan.peak * plan.peak / plan.up) / 2
+    behind = (speed * speed / up - plan.peak * plan.peak / plan.up) / 2 + speed * phase
     return length, max(abs(faster * rise - behind), abs(faster * fall - behind))
 
 
-def _path_error(profile: Profile, law: _Law, tick_s: float) -> float:
-    """Largest distance between plan and execution when both start together, in counts.
+def _path_error(profile: Profile, law: _Law, tick_s: float, phase: float) -> float:
+    """Largest distance between plan and execution when that starts `phase` samples later, in counts.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
@@ -248,6 +250,7 @@ def _path_error(profile: Profile, law: _Law, tick_s: float) -> float:
     planned_at = profile.evaluator()
     sign = 1.0 if profile.end_counts > profile.start_counts else -1.0
     last = max(law.length, profile.duration_s / tick_s)
-    joints = [segment.start_s / tick_s for segment in profile.segments] + [*law.joints, law.length]
+    joints = [segment.start_s / tick_s for segment in profile.segments]
+    joints += [phase + t for t in (*law.joints, law.length)]
     joints += [last * k / 32 for k in range(33)]
-    return 0.5 + max(abs(sign * law.at(t) - planned_at(t * tick_s).position) for t in joints)
+    return 0.5 + max(abs(sign * law.at(t - phase) - planned_at(t * tick_s).position) for t in joints)
