@@ -12,7 +12,7 @@ from adapters.shrc203.options import Options
 from adapters.shrc203.output import DrivenOutput
 from adapters.shrc203.pair import Pair
 from adapters.shrc203.replies import REFUSALS, STATUS, amounts, entries, status
-from adapters.shrc203.second import load_second, too_late
+from adapters.shrc203.second import astray, load_second
 from adapters.shrc203.session import EOL, Session
 from adapters.shrc203.standby import COMPLETION_LATE_NS, Standby
 from adapters.shrc203.status import ERRORS, UNSETTLED, why_stopped
@@ -355,7 +355,7 @@ class Mover:
             arrived = now.counts == each.end_counts
             error = error or bool(now.word & ERRORS)
             if not arrived or now.word & ERRORS:
-                reasons.append(why_stopped(each.name, now) or _astray(each, now.counts))
+                reasons.append(why_stopped(each.name, now) or astray(each, now.counts))
             # The standby may have had a completion line of its own: there only the look at the unit counts.
             said_ns = None if move.waits else completed.get(each.motor)
             ended[each.name] = self._end(move, each, said_ns, rest_ns, arrived)
@@ -489,11 +489,3 @@ class Mover:
                     f"axis {each.name}: {found[each.motor]} pulses are loaded instead of {each.distance}",
                     "arm again; was the unit switched off?",
                 )
-
-
-def _astray(axis: AxisMove, counts: int) -> str:
-    """Why an axis is not at its target, by where it stands."""
-    _, *more = axis.pieces
-    if more and counts == more[0].start_counts:
-        return too_late(axis.name, counts)
-    return f"axis {axis.name} stands at {counts}, not at its target"

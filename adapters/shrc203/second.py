@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.shrc203.lowering import ShrcLowered
+from adapters.shrc203.lowering import AxisMove, ShrcLowered
 from adapters.shrc203.replies import STATUS, status
 from adapters.shrc203.status import why_stopped
 from adapters.shrc203.unitstate import UnitState
@@ -29,12 +29,15 @@ async def load_second(unit: UnitState, lowered: ShrcLowered, still: Callable[[],
     else:
         return f"the second of two moves could not be loaded: {wrong}"
     now = status(await unit.session.ask("Q:SPC", STATUS), unit.controllable)
-    for each in lowered.seconds:
-        if not now[each.motor].busy:
-            return why_stopped(each.name, now[each.motor]) or too_late(each.name, now[each.motor].counts)
+    for each in lowered.moves:
+        if len(each.pieces) > 1 and not now[each.motor].busy:
+            return why_stopped(each.name, now[each.motor]) or astray(each, now[each.motor].counts)
     return ""
 
 
-def too_late(axis: str, counts: int) -> str:
-    """The first move had ended before the second was there."""
-    return f"axis {axis} stands at {counts}, between its two moves: the second one came too late"
+def astray(axis: AxisMove, counts: int) -> str:
+    """Why an axis is not at its target, by where it stands."""
+    _, *more = axis.pieces
+    if more and counts == more[0].start_counts:
+        return f"axis {axis.name} stands at {counts}, between its two moves: the second one came too late"
+    return f"axis {axis.name} stands at {counts}, not at its target"
