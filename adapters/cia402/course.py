@@ -39,7 +39,8 @@ class Course:
         """The set-point of a SYNC by its number; before the first one the start, after the last one the end.
 
         The first one is a count from the start at least, and the last but one a count from the end: so what is
-        executed begins and ends when the plan does, also where that has not gone a count yet.
+        executed begins and ends when the plan does, also where that has not gone a count yet. A straight line between
+        places on a curve lies on one side of it: half of that is taken off, so that it lies on both.
         """
         at, last, period_s = self.profile.evaluator(), self.count - 1, self.period_ns / NS_PER_S
         start, end = self.profile.start_counts, self.profile.end_counts
@@ -50,7 +51,8 @@ class Course:
                 return start
             if number >= last:
                 return end
-            return min(max(start + round(at((number + 1) * period_s).position), low), high)
+            there = at((number + 1) * period_s)
+            return min(max(start + round(there.position - there.acceleration * period_s**2 / 16), low), high)
 
         return point
 
@@ -58,7 +60,9 @@ class Course:
     def path_error_counts(self) -> float:
         """How far a straight line between set-points, which are whole counts, is from the plan at the most."""
         period_s, profile = self.period_ns / NS_PER_S, self.profile
-        bow = profile.peak_acceleration * period_s**2 / 8
+        # The last term is how much the bow differs within a period, by the jerk.
+        jerk = max(map(abs, profile.jerks)) * abs(profile.scale_counts)
+        bow = profile.peak_acceleration * period_s**2 / 16 + jerk * period_s**3 / 100
         if not isclose(self._planned_periods, self.count, abs_tol=_ROUNDING):
             # The plan is over within the last period, and the drive at the end of that.
             before = profile.at((self.count - 1) * period_s).position

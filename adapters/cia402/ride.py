@@ -52,6 +52,7 @@ class Ride:
             self.last_heard_ns = answer.at_ns
         elif number >= self.count and answer.demand == self._point(number):
             self.arrived = True
+            node.demand = answer.demand  # what it says by itself may come later
             node.wake()
 
     def fail(self, text: str) -> None:

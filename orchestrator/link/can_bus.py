@@ -258,9 +258,9 @@ class MemoryCanBus:
         if not ready:
             self.kick()
             return
-        least = min(_rank(node.best()) for node in ready)
-        senders = [node for node in ready if _rank(node.best()) == least]
-        frame = senders[0].best()
+        heads = [(_rank(frame), node, frame) for node in ready for frame in (node.best(),)]
+        least, _, frame = min(heads, key=lambda head: head[0])
+        senders = [node for rank, node, _ in heads if rank == least]
         begin_ns = planned_ns
         self._sending = True
         acknowledged = not self.cut and any(node.hears for node in self._nodes if node not in senders)

@@ -1,6 +1,7 @@
-"""What is asked of the lowering for CiA 402 drives, and of the start of a bus of them, in a few moves each."""
+"""What is asked of the lowering for CiA 402 drives, and of a bus of them, in a few moves each."""
 
 from orchestrator.lab.bench_can import bench_can
+from orchestrator.lab.bench_can_stream import bench_stream
 from orchestrator.lab.bench_lowering_steppers import bench_stepper
 
 
@@ -18,3 +19,13 @@ def test_eight_drives_start_together_and_are_armed_hardly_slower_than_their_fram
     assert all(row.met for row in asked), asked
     # One after another they are much further apart, so that the figure says something.
     assert rows[0].p50 > 10 * rows[1].p99
+
+
+def test_eight_drives_keep_to_their_paths_and_leave_room_on_the_bus() -> None:
+    rows = bench_stream(1, 0)
+    asked = [row for row in rows if row.asked and row.n]
+    assert len(asked) == 2
+    assert all(row.met for row in asked), asked
+    # By the timer of a loop they are further from their plan.
+    off = {row.what: row.p50 for row in rows if row.what.startswith("furthest")}
+    assert off["furthest from the plan, by a script's timer"] > 5 * off["furthest from the plan, streamed"]
