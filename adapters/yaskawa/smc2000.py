@@ -1,9 +1,8 @@
 """The SMC-2000: driver, and what the fleet file may say about it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
@@ -12,35 +11,30 @@ from adapters.contract import (
     CannotDo,
     Capabilities,
     Driver,
-    Identity,
-    JogMove,
     Lowered,
-    Outcome,
     Reading,
     Setup,
-    Span,
 )
 from adapters.yaskawa import homing, smc2000_program
 from adapters.yaskawa.arrays import SlowUpload
-from adapters.yaskawa.dialect import motor_indices, send_raw
-from adapters.yaskawa.jogging import Jogging
+from adapters.yaskawa.dialect import motor_indices
+from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.line import SHARED, Line
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, Records, lower_moves
 from adapters.yaskawa.model import SMC2000
 from adapters.yaskawa.program import GATE_TICKS
-from adapters.yaskawa.record import FORWARD_SWITCH, OFF_ON_ERROR, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord, Record
+from adapters.yaskawa.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.serial_device import SerialDevice, stop_commands
-from adapters.yaskawa.settings import configure, load_limits
+from adapters.yaskawa.settings import configure
 from adapters.yaskawa.smc2000_options import Smc2000Options
 from adapters.yaskawa.smc2000_program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000_start import SerialStart
-from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, Input, Output, SerialLink
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs, Fault
+from orchestrator.model.state import Costs
 
 SECOND_LETTERS = "ABCDEFGH"  # the same axes (L1044-1048)
 UNITS = range(8)  # of a chain (L939)
@@ -48,7 +42,6 @@ ARRAY_CHARACTERS = 240  # of elements at once: other units of a chain wait an ei
 ARRAY_BACK = 40  # elements asked back at once
 INPUTS, OUTPUTS = 24, 16  # of the unit with eight axes (L742, L746)
 STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
-STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L10536)
 
 # For the costs declared: characters of an exchange, out and in, as they are when arming.
 EXCHANGE_CHARACTERS = 36
@@ -61,67 +54,42 @@ NAMES = (LETTERS, SECOND_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D), E, F, G, H"
 WAITS_FOR_MORE = ("DL", "QD", "IN")  # after these the controller takes no commands
 
-_LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
-    (False, False): "none",
-    (True, False): "forward",
-    (False, True): "reverse",
-    (True, True): "both",
-}
-
 
 def _words(points: Mapping[str, Input] | Mapping[str, Output], size: int) -> int:
     """How many words of `size` points hold all that the fleet file names."""
     return max((-(-point.number // size) for point in points.values()), default=0)
 
 
-class SMC2000Driver(Driver):
+class SMC2000Driver(YaskawaDriver[SerialDevice]):
     """One SMC-2000, alone on its port or in a daisy chain."""
 
     def __init__(self, setup: Setup) -> None:
         link = setup.config.link
         assert isinstance(link, SerialLink)
         options = Smc2000Options.model_validate(setup.options.model_dump())
-        self._config = setup.config
+        motors = motor_indices(setup.config, NAMES, MOTORS)
         self._options = options
-        self._clock = setup.clock
         self._char_ns = 10 * NS_PER_S // link.baud
-        self._motors = motor_indices(setup.config, NAMES, MOTORS)
         self._line: Line = setup.shared.setdefault(SHARED, Line())
         # Only what the fleet file names is asked for: every character takes half a millisecond.
         inputs, outputs = _words(setup.config.inputs, INPUTS_OF_WORD), _words(setup.config.outputs, OUTPUTS_OF_WORD)
         self._points = inputs * INPUTS_OF_WORD, outputs * OUTPUTS_OF_WORD
-        self._device = SerialDevice(
-            self._line,
-            link.unit,
-            setup.clock,
-            setup.open_link,
-            options,
-            list(self._motors.values()),
-            inputs,
-            outputs,
+        device = SerialDevice(
+            self._line, link.unit, setup.clock, setup.open_link, options, list(motors.values()), inputs, outputs
         )
+        super().__init__(setup, motors, device, SerialStart(device, setup.clock, options), (*WAITS_FOR_MORE, "%", "!"))
         # What the shared lowering counts a command of a stop with.
         wire_us = EXCHANGE_CHARACTERS * self._char_ns // NS_PER_US
         self._costly = options.model_copy(update={"round_trip_us": options.round_trip_us + options.hold_us + wire_us})
-        self._contoured = smc2000_program.contoured(list(self._motors.values()))
+        self._contoured = smc2000_program.contoured(list(motors.values()))
         self._model = replace(SMC2000, contours=self._contoured)
-        self._start = SerialStart(self._device, setup.clock, options)
-        self._jogging = Jogging(self._device, setup.clock, self._motors)
-        self._steppers: set[str] = set()
 
     # Reaching it
-
-    async def connect(self) -> Identity:
-        self._start.forget()
-        return await self._device.connect()
 
     async def configure(self) -> None:
         await configure(self._device, self._config, self._options, self._motors)
         types, _ = await self._device.session.numbers(*(f"_MT{LETTERS[index]}" for index in self._motors.values()))
         self._steppers = {name for name, kind in zip(self._motors, types, strict=True) if abs(kind) >= STEPPER_TYPE}
-
-    async def close(self) -> None:
-        await self._device.close()
 
     @property
     def _exchange_ns(self) -> int:
@@ -163,30 +131,10 @@ class SMC2000Driver(Driver):
             velocity_counts_s=axis.velocity / VELOCITY_SCALE,
             moving=axis.moving,
             enabled=axis.enabled,
-            limit=_LIMIT[not axis.switches & FORWARD_SWITCH, not axis.switches & REVERSE_SWITCH],
+            limit=LIMITS[not axis.switches & FORWARD_SWITCH, not axis.switches & REVERSE_SWITCH],
             # A servo's position is still monitored while it is off (L10447), and SH begins from there (L11494).
             lost=open_loop and not axis.enabled,
         )
-
-    async def _faults(self, record: Record) -> Sequence[Fault]:
-        faults: list[Fault] = []
-        aborted = False
-        for name, index in self._motors.items():
-            axis = record.axes[index]
-            if axis.status & OFF_ON_ERROR:
-                words = STOP_CODES[8]
-                faults.append(Fault(code=words.code, text=f"axis {name} {words.text}", remedy=words.remedy, axis=name))
-            aborted |= axis.stop_code == 6
-        if aborted:
-            # The stop code stays until the next move; the input itself says whether it is still so (2.0g, L6790).
-            (free,), _ = await self._device.session.numbers("_AB")
-            if not free:
-                words = STOP_CODES[6]
-                faults.append(Fault(code=words.code, text="the abort input is active", remedy=words.remedy))
-        return faults
-
-    def mapping(self) -> TickMapping | None:
-        return self._device.samples.mapping()
 
     # A step
 
@@ -219,61 +167,18 @@ class SMC2000Driver(Driver):
 
     async def verify(self) -> None:
         async with self._device.together():
-            await self._start.verify()
+            await super().verify()
 
     async def go(self) -> None:
         async with self._device.together():
-            await self._start.go()
+            await super().go()
 
     async def disarm(self) -> None:
         self._device.session.keep_quiet(0, 0)
-        await self._start.disarm()
-
-    async def started(self) -> Mapping[str, Span]:
-        return await self._start.started()
-
-    async def outcome(self) -> Outcome:
-        return await self._start.outcome()
-
-    async def stop(self, abort: bool) -> None:
-        self._device.stop(abort)
+        await super().disarm()
 
     async def stop_first(self) -> bool:
         return await self._device.stop_first()
-
-    # Everything else
-
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        letters = "".join(LETTERS[self._motors[name]] for name in axes)
-        await self._device.session.tell(("SH" if on else "MO") + letters)
-        record = await self._device.record()
-        for name in axes:
-            if record.axes[self._motors[name]].enabled != on:
-                raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
-
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        self._jogging.forget(axes)
-        searched = [(name, self._motors[name], self._config.axes[name]) for name in axes]
-        return await homing.home(self._device, self._clock, searched, found)
-
-    async def jog(self, axis: str, move: JogMove) -> None:
-        await self._jogging.jog(axis, move)
-
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        self._device.stop_axes(self._motors[axis] for axis in axes)
-
-    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await load_limits(self._device, self._motors, limits)
-
-    async def set_output(self, number: int, on: bool) -> None:
-        await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")
-
-    async def clear_faults(self) -> None:
-        # Reading the error code clears it (L11681); all else that a fault leaves behind is cleared by enabling.
-        await self._device.session.ask("TC")
-
-    async def raw(self, command: str) -> str:
-        return await send_raw(command, self._device.session.ask_all, (*WAITS_FOR_MORE, "%", "!"))
 
 
 def _bits(word: int, count: int) -> dict[int, bool]:

@@ -1,7 +1,6 @@
 """The SMC-4000: driver, and what the fleet file may say about it."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from collections.abc import Mapping
 
 from pydantic import BaseModel, ValidationError
 
@@ -10,40 +9,33 @@ from adapters.contract import (
     CannotDo,
     Capabilities,
     Driver,
-    Identity,
-    JogMove,
     Lowered,
-    Outcome,
     Reading,
     Setup,
-    Span,
 )
 from adapters.yaskawa import homing
 from adapters.yaskawa.device import Device, stop_commands
-from adapters.yaskawa.dialect import motor_indices, send_raw
-from adapters.yaskawa.jogging import Jogging
+from adapters.yaskawa.dialect import motor_indices
+from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
-    OFF_ON_ERROR,
     RECORD_LETTERS,
     REVERSE_SWITCH,
     VELOCITY_SCALE,
     AxisRecord,
-    Record,
 )
-from adapters.yaskawa.settings import configure, load_limits
+from adapters.yaskawa.settings import configure
 from adapters.yaskawa.start import Start
-from adapters.yaskawa.words import STOP_CODES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs, Fault
+from orchestrator.model.state import Costs
 
 AXES = 4
 FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP nothing else tells that a client has gone (L5851)
@@ -53,21 +45,14 @@ POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 20
 DISARM_EXCHANGES = 7
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
-STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (L7683-7704)
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D)"
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
 
-_LIMIT: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] = {
-    (False, False): "none",
-    (True, False): "forward",
-    (False, True): "reverse",
-    (True, True): "both",
-}
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(Driver):
+class SMC4000Driver(YaskawaDriver[Device]):
     """One SMC-4000."""
 
     def __init__(self, setup: Setup) -> None:
@@ -75,26 +60,17 @@ class SMC4000Driver(Driver):
         if isinstance(setup.config.link, SerialLink):
             wire_us = LONGEST_EXCHANGE * 10 * 1_000_000 // setup.config.link.baud
             options = options.model_copy(update={"round_trip_us": options.round_trip_us + wire_us})
-        self._config = setup.config
-        self._options = options
-        self._clock = setup.clock
-        self._motors = motor_indices(setup.config, NAMES, MOTORS)
+        motors = motor_indices(setup.config, NAMES, MOTORS)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         shared = isinstance(setup.config.link, SerialLink)
-        axes = max(self._motors.values()) + 1
-        self._device = Device(setup.clock, setup.open_link, options, axes, goodbye, shared)
-        self._start = Start(self._device, setup.clock, options)
-        self._jogging = Jogging(self._device, setup.clock, self._motors)
-        self._steppers: set[str] = set()
+        device = Device(setup.clock, setup.open_link, options, max(motors.values()) + 1, goodbye, shared)
+        super().__init__(setup, motors, device, Start(device, setup.clock, options), (*WAITS_FOR_MORE, "QR"))
+        self._options = options
         # The level of the limit bits at rest: it depends on how the switches are configured (L10906-10939).
         self._open_switches: dict[str, int] = {}
         self._capabilities = self._work_out_capabilities()
 
     # Reaching it
-
-    async def connect(self) -> Identity:
-        self._start.forget()
-        return await self._device.connect()
 
     async def configure(self) -> None:
         await configure(self._device, self._config, self._options, self._motors)
@@ -106,9 +82,6 @@ class SMC4000Driver(Driver):
             pressed = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
             self._open_switches[name] = (switches ^ pressed) & (FORWARD_SWITCH | REVERSE_SWITCH)
             (self._steppers.add if abs(motor_type) >= STEPPER_TYPE else self._steppers.discard)(name)
-
-    async def close(self) -> None:
-        await self._device.close()
 
     @property
     def capabilities(self) -> Capabilities:
@@ -147,30 +120,13 @@ class SMC4000Driver(Driver):
             velocity_counts_s=axis.velocity / VELOCITY_SCALE,
             moving=axis.moving,
             enabled=axis.enabled,
-            limit=_LIMIT[bool(closed & FORWARD_SWITCH), bool(closed & REVERSE_SWITCH)],
+            limit=LIMITS[bool(closed & FORWARD_SWITCH), bool(closed & REVERSE_SWITCH)],
             # A servo's encoder goes on counting while it is off (L7573), and SH begins from there (L9924).
             lost=name in self._steppers and not axis.enabled,
         )
 
-    async def _faults(self, record: Record) -> Sequence[Fault]:
-        faults: list[Fault] = []
-        aborted = False
-        for name, index in self._motors.items():
-            axis = record.axes[index]
-            if axis.status & OFF_ON_ERROR and not axis.enabled:
-                words = STOP_CODES[8]
-                faults.append(Fault(code=words.code, text=f"axis {name} {words.text}", remedy=words.remedy, axis=name))
-            aborted |= axis.stop_code == 6
-        if aborted:
-            # The stop code stays until the next move; the input itself says whether it is still so.
-            (free,), _ = await self._device.session.numbers("_AB")
-            if not free:
-                words = STOP_CODES[6]
-                faults.append(Fault(code=words.code, text="the abort input is active", remedy=words.remedy))
-        return faults
-
-    def mapping(self) -> TickMapping | None:
-        return self._device.samples.mapping()
+    def _off_by_error(self, axis: AxisRecord) -> bool:
+        return super()._off_by_error(axis) and not axis.enabled
 
     # A step
 
@@ -182,58 +138,6 @@ class SMC4000Driver(Driver):
             raise CannotDo("not-lowered", "this move was lowered for another make", "lower it again")
         self._jogging.forget(move.axis for move in lowered.moves)
         return await self._start.arm(lowered, t0_ns, mapping)
-
-    async def verify(self) -> None:
-        await self._start.verify()
-
-    async def go(self) -> None:
-        await self._start.go()
-
-    async def disarm(self) -> None:
-        await self._start.disarm()
-
-    async def started(self) -> Mapping[str, Span]:
-        return await self._start.started()
-
-    async def outcome(self) -> Outcome:
-        return await self._start.outcome()
-
-    async def stop(self, abort: bool) -> None:
-        self._device.stop(abort)
-
-    # Everything else
-
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        letters = "".join(AXIS_LETTERS[self._motors[name]] for name in axes)
-        await self._device.session.tell(("SH" if on else "MO") + letters)
-        record = await self._device.record()
-        for name in axes:
-            if record.axes[self._motors[name]].enabled != on:
-                raise CannotDo("enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "look at TC1")
-
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        self._jogging.forget(axes)
-        searched = [(name, self._motors[name], self._config.axes[name]) for name in axes]
-        return await homing.home(self._device, self._clock, searched, found)
-
-    async def jog(self, axis: str, move: JogMove) -> None:
-        await self._jogging.jog(axis, move)
-
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        self._device.stop_axes(self._motors[axis] for axis in axes)
-
-    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await load_limits(self._device, self._motors, limits)
-
-    async def set_output(self, number: int, on: bool) -> None:
-        await self._device.session.tell(f"{'SB' if on else 'CB'}{number}")
-
-    async def clear_faults(self) -> None:
-        # Reading the error code clears it (L10257); all else that a fault leaves behind is cleared by enabling.
-        await self._device.session.ask("TC")
-
-    async def raw(self, command: str) -> str:
-        return await send_raw(command, self._device.session.ask_all, (*WAITS_FOR_MORE, "QR"))
 
 
 class SMC4000Make:
