@@ -1,7 +1,5 @@
 """Commands to a controller, from the bus: each verb with its request, done once, answered with a value."""
 
-import asyncio
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -19,6 +17,7 @@ from adapters.presenter import Presenter, explain
 from adapters.referencing import Referencing
 from adapters.seat import Seat
 from adapters.store import Remembered
+from orchestrator.bus.answers import Answers
 from orchestrator.bus.base import RequestRefused, Sample
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.trace import Direction
@@ -53,8 +52,6 @@ from orchestrator.model.messages import (
     TraceReply,
 )
 from orchestrator.model.units import UnitError, parse_quantity
-
-ANSWERS_KEPT = 256
 
 
 class UnitActions(Protocol):
@@ -97,7 +94,7 @@ class Commands:
         self._parts = parts
         self._fence, self._condition, self._presenter = parts.fence, parts.condition, parts.presenter
         self._unit = unit
-        self._answers: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
+        self._answers = Answers[Reply]()
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (Adopt, Adopted, self._adopt),
@@ -129,13 +126,8 @@ class Commands:
             request = model.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(f"{verb}: {explain(error)}") from None
-        task = self._answers.get(request.request_id)
-        if task is None:
-            task = asyncio.get_running_loop().create_task(self._do(verb, reply, handler, request))
-            self._answers[request.request_id] = task
-            while len(self._answers) > ANSWERS_KEPT:
-                self._answers.popitem(last=False)
-        return (await asyncio.shield(task)).to_json()
+        answer = await self._answers.once(verb, request.request_id, lambda: self._do(verb, reply, handler, request))
+        return answer.to_json()
 
     async def _do(
         self, verb: str, reply: type[Reply], handler: Callable[[Any], Awaitable[Reply]], request: Request

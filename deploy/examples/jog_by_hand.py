@@ -9,7 +9,7 @@ SECONDS, EVERY_S = 1.0, 0.05
 
 
 async def main(axis: str, velocity: float, endpoint: str) -> None:
-    async with await Tutti.connect(endpoint, actor="jog_by_hand") as tutti:
+    async with Tutti(endpoint, actor="jog_by_hand") as tutti:
         async with tutti.by_hand([axis], what="a jog of one second") as hand:
             await hand.jog({axis: velocity})
             for _ in range(round(SECONDS / EVERY_S)):

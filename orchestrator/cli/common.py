@@ -83,7 +83,7 @@ def with_fleet(connect: str, fleet: str | None, act: Callable[[Any], Awaitable[T
     from orchestrator.client import Tutti
 
     async def main() -> T:
-        async with await Tutti.connect(connect, fleet, actor=actor()) as tutti:
+        async with Tutti(connect, fleet, actor=actor()) as tutti:
             return await act(tutti)
 
     return run(main())

@@ -101,7 +101,7 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
     from orchestrator.model.messages import Reign
     from orchestrator.model.state import ControllerState
 
-    async with await Tutti.connect(connect, fleet, actor="demo") as tutti:
+    async with Tutti(connect, fleet, actor="demo") as tutti:
         states: dict[str, ControllerState] = {}
         try:
             async with asyncio.timeout(READY_S):

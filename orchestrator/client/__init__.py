@@ -1,5 +1,8 @@
-"""The Python API for users: `from orchestrator.client import Tutti`."""
+"""The Python API for users: `from orchestrator.client import Job, Tutti`."""
 
 from orchestrator.client.api import Refused, Tutti
+from orchestrator.client.blocking import BlockingTutti
+from orchestrator.client.jobs import SubmittedJob
+from orchestrator.model.job import Job
 
-__all__ = ["Refused", "Tutti"]
+__all__ = ["BlockingTutti", "Job", "Refused", "SubmittedJob", "Tutti"]

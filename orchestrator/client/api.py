@@ -1,8 +1,10 @@
 """Submit jobs, watch them, look at the fleet, stop it. The command line is built on this.
 
-async with await Tutti.connect("tcp/127.0.0.1:7447") as tutti:
-    job_id = await tutti.submit(job)
-    report = await tutti.wait(job_id)
+async with Tutti("tcp/127.0.0.1:7447") as tutti:
+    job = await tutti.submit(load_job(Path("demo.job.yaml")))
+    async for event in job.events():
+        print(event)
+    report = await job.result()
 """
 
 import asyncio
@@ -13,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import ROOT, Keys
+from orchestrator.client.jobs import SubmittedJob
 from orchestrator.model.base import Model
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
@@ -49,6 +52,7 @@ if TYPE_CHECKING:
 
 M = TypeVar("M", bound=Model)
 
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 ANSWER_S = 3.0
 STOP_LOOK_S = 0.3  # for seeing whom to stop: an adapter that takes longer to say that it is there hangs
 DRY_RUN_S = 30.0
@@ -66,46 +70,78 @@ class Refused(Exception):
 
 
 class Tutti:
-    """A connection to one fleet."""
+    """A connection to one fleet; use it as a context.
 
-    def __init__(self, bus: Bus, fleet: str, actor: str, new_id: Callable[[], str] = lambda: uuid.uuid4().hex) -> None:
-        self.bus = bus
-        self.keys = Keys(fleet)
+    connect: the router, e.g. `tcp/127.0.0.1:7447`, or a bus. fleet: without, the only one there. actor: who asks, for
+    journals and logs.
+    """
+
+    def __init__(
+        self,
+        connect: str | Bus = DEFAULT_ENDPOINT,
+        fleet: str | None = None,
+        actor: str = "api",
+        new_id: Callable[[], str] = lambda: uuid.uuid4().hex,
+    ) -> None:
+        self._endpoint = connect if isinstance(connect, str) else ""
+        self._bus = None if isinstance(connect, str) else connect
+        self._keys = None if fleet is None else Keys(fleet)
         self.actor = actor
         self.new_id = new_id
 
-    @classmethod
-    async def connect(cls, endpoint: str, fleet: str | None = None, actor: str = "api") -> Self:
-        """Connect to the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`; without `fleet`, to the only one there.
-
-        Raises `RouterUnreachable`, or `Refused` with code `no-fleet` or `which-fleet`.
-        """
+    async def open(self) -> Self:
+        """Connect, which entering the context does. Raises `RouterUnreachable`, or `Refused` with code `no-fleet` or
+        `which-fleet`."""
         from orchestrator.bus.zenoh_bus import open_bus
 
-        bus = await open_bus(endpoint)
-        try:
-            return cls(bus, fleet or await find_fleet(bus), actor)
-        except BaseException:
-            await bus.close()
-            raise
+        if self._bus is None:
+            self._bus = await open_bus(self._endpoint)
+        if self._keys is None:
+            try:
+                self._keys = Keys(await find_fleet(self._bus))
+            except BaseException:
+                await self.close()
+                raise
+        return self
+
+    @property
+    def bus(self) -> Bus:
+        if self._bus is None:
+            raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
+        return self._bus
+
+    @property
+    def keys(self) -> Keys:
+        if self._keys is None:
+            raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
+        return self._keys
 
     async def __aenter__(self) -> Self:
-        return self
+        return await self.open()
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def close(self) -> None:
-        await self.bus.close()
+        """Leave. Safe to call twice."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            await bus.close()
 
     # Jobs
 
-    async def submit(self, job: Job, client_key: str | None = None, terms: Terms | None = None) -> str:
+    async def submit(self, job: Job, client_key: str | None = None, terms: Terms | None = None) -> SubmittedJob:
         """Submit a job: its id, once it is safe in the journal. A job without an actor gets ours. Raises `Refused`.
+
+        The same `client_key` is the same job, however often it is submitted.
 
         terms: its place in the queue: priority, repeats, after which job or at what time it begins.
         """
-        return (await self.enqueue(job, client_key, terms)).id
+        return self.job((await self.enqueue(job, client_key, terms)).id)
+
+    def job(self, job_id: str) -> SubmittedJob:
+        """A job by its id, to follow it."""
+        return SubmittedJob(job_id, self)
 
     async def enqueue(self, job: Job, client_key: str | None = None, terms: Terms | None = None) -> QueueEntry:
         """Submit a job, and see how it stands in the queue. Raises `Refused`."""
@@ -132,6 +168,16 @@ class Tutti:
     async def show(self, job_id: str) -> JobShown:
         """Everything the journal has of a job. Raises `Refused`."""
         return await self.service("show", JobRef(**self.fields(), job_id=job_id), JobShown)
+
+    async def show_when_there(self, job_id: str, poll_s: float = 0.5) -> JobShown:
+        """The same, waiting for a coordinator that is away. Raises `Refused` for a job that does not exist."""
+        while True:
+            try:
+                return await self.show(job_id)
+            except Refused as error:
+                if error.refusal.code not in ("no-coordinator", "no-answer"):
+                    raise
+            await asyncio.sleep(poll_s)
 
     async def recording(self, job_id: str, step: int) -> StepRecording | None:
         """What a motion step was planned to do and what polls have shown of it; None if nothing is kept of it."""
@@ -205,12 +251,7 @@ class Tutti:
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), take)
         try:
             while True:
-                try:
-                    report = (await self.show(job_id)).report
-                except Refused as error:
-                    if error.refusal.code not in ("no-coordinator", "no-answer"):
-                        raise
-                    report = None
+                report = (await self.show_when_there(job_id, poll_s)).report
                 if report is not None:
                     return report
                 changed.clear()

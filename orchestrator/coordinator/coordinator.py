@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from orchestrator.bus.answers import Answers
 from orchestrator.bus.base import Bus, Declared, RequestRefused, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
@@ -56,6 +57,8 @@ from orchestrator.model.service import (
 from orchestrator.model.state import ControllerState
 
 ADOPT_S = 2.0
+_READING = ("list", "show", "recording")
+"""Verbs that may be done twice; their answers are too large to keep."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +118,8 @@ class Coordinator:
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self.deposed = asyncio.Event()
-        self._verbs: dict[str, tuple[type[Model], Callable[[Any], Awaitable[Model]]]] = {
+        self._answers = Answers[bytes]()
+        self._verbs: dict[str, tuple[type[Request], Callable[[Any], Awaitable[Model]]]] = {
             "submit": (Submit, self._submit),
             "list": (ListJobs, self._list),
             "show": (JobRef, self._show),
@@ -228,6 +232,11 @@ class Coordinator:
             raise RequestRefused(f"{verb}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
         if self.throne.over:
             raise RequestRefused("this coordinator reigns no more; ask again")
+        if verb in _READING:
+            return await self._do(verb, handler, request)
+        return await self._answers.once(verb, request.request_id, lambda: self._do(verb, handler, request))
+
+    async def _do(self, verb: str, handler: Callable[[Any], Awaitable[Model]], request: Request) -> bytes:
         try:
             return (await handler(request)).to_json()
         except JournalError as error:

@@ -20,7 +20,7 @@ async def measured_fleet(fleet: Fleet, state: Path) -> AsyncGenerator[tuple[Live
     live = LiveFleet(fleet, state, lambda _: None, port=free_port(), simulated=True, truth=True)
     await live.start()
     try:
-        async with await Tutti.connect(live.connect, fleet.fleet, "bench") as tutti:
+        async with Tutti(live.connect, fleet.fleet, "bench") as tutti:
 
             async def adopted() -> bool:
                 states = (await tutti.status()).values()

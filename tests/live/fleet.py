@@ -144,7 +144,7 @@ class RunningFleet:
 
     def ask(self, act: Callable[[Tutti], Coroutine[Any, Any, T]]) -> T:
         async def main() -> T:
-            async with asyncio.timeout(LIMIT_S), await Tutti.connect(self.endpoint, "demo", "test") as tutti:
+            async with asyncio.timeout(LIMIT_S), Tutti(self.endpoint, "demo", "test") as tutti:
                 return await act(tutti)
 
         return asyncio.run(main())

@@ -114,7 +114,7 @@ def test_a_fleet_with_a_bridge_homes_and_moves(tmp_path: Path) -> None:
         live = LiveFleet(fleet(), tmp_path / "state", lambda _: None, port=free_port(), simulated=True)
         await live.start()
         try:
-            async with await Tutti.connect(live.connect, "bridged") as tutti:
+            async with Tutti(live.connect, "bridged") as tutti:
                 job = Job.model_validate(
                     {"schema": "tutti.job/1", "name": "bridge", "max_start_skew": "50 ms", "steps": STEPS}
                 )

@@ -312,6 +312,24 @@ def test_positions_can_be_watched_with_zenoh_alone(shared: RunningFleet) -> None
     assert all(line.split()[0] in AXES for line in lines)
 
 
+def test_jobs_are_submitted_from_a_script_and_with_zenoh_alone(shared: RunningFleet) -> None:
+    job = shared.file([{"do": "enable", "axes": ["gantry"]}, {"do": "dwell", "duration": "100 ms"}], "scripted")
+    script = [sys.executable, str(EXAMPLES / "submit_job.py"), str(job), shared.endpoint]
+    told = subprocess.run(script, capture_output=True, text=True, timeout=LIMIT_S)
+    assert told.returncode == 0, told.stderr
+    states = [line.split()[1] for line in told.stdout.splitlines()]
+    assert states[0] == "queued" and states[-1] == "done"
+    plain = [sys.executable, str(EXAMPLES / "submit_with_zenoh.py"), str(job), "demo", shared.endpoint]
+    told = subprocess.run(plain, capture_output=True, text=True, timeout=LIMIT_S)
+    assert told.returncode == 0, told.stderr
+    assert told.stdout.split()[1] == "done"
+    wrong = shared.file([{"do": "move", "to": {"gantry.q": 1}}], "wrong")
+    plain[2] = str(wrong)
+    told = subprocess.run(plain, capture_output=True, text=True, timeout=LIMIT_S)
+    assert told.returncode == 1
+    assert "gantry" in told.stderr
+
+
 def test_a_coordinator_that_slept_is_deposed_and_moves_nothing(own: RunningFleet) -> None:
     own.started().ready()
     own.slow_move()

@@ -1,0 +1,78 @@
+"""The Python API as programs use it: a job is followed from its submission to its report."""
+
+import asyncio
+
+import pytest
+from cluster.worlds import PREPARE, job, run_fleet
+
+from orchestrator.client import Refused, Tutti
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.report import Progress, Transition
+
+MOVE = job("[{do: move, to: {gantry.x: 60}, speed: 0.2}, {do: dwell, duration: 0.5 s}]")
+LIFE = ["queued", "planning", "arming", "armed", "committed", "running"]
+
+
+def test_a_job_is_followed_by_each_change_of_its_state_once_and_by_its_progress() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await client.wait(await client.submit(PREPARE))
+        submitted = await client.submit(MOVE)
+        changes: list[Transition] = []
+        progress: list[Progress] = []
+        async for event in submitted.events():
+            (changes if isinstance(event, Transition) else progress).append(event)  # type: ignore[arg-type]
+        report = await submitted.result()
+        assert report.state == "done" and report.job_id == submitted == submitted.id
+        assert [each.state for each in changes][:6] == LIFE
+        assert changes[-1].state == "done"
+        assert changes == (await submitted.show()).transitions
+        moving = [each.fraction for each in progress if each.state == "running"]
+        assert len(moving) > 3 and moving == sorted(moving)
+
+    run_fleet(main)
+
+
+def test_an_ended_job_is_told_from_the_journal_and_by_its_id_alone() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        job_id = (await client.submit(job("[{do: dwell, duration: 0.1 s}]"))).id
+        await client.wait(job_id)
+        seen = [event.state async for event in fleet.client("later").job(job_id).events()]
+        assert seen[0] == "queued" and seen[-1] == "done"
+
+    run_fleet(main)
+
+
+def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        await client.wait(await client.submit(PREPARE))
+        submitted = await client.submit(MOVE)
+
+        async def states() -> list[str]:
+            return [event.state async for event in submitted.events() if isinstance(event, Transition)]
+
+        listening = asyncio.ensure_future(states())
+        await sleep_ns(fleet.clock, NS_PER_S)
+        fleet.kill("coordinator/first")
+        await sleep_ns(fleet.clock, NS_PER_S)
+        fleet.start_coordinator("second")
+        seen = await listening
+        assert seen == [each.state for each in (await submitted.show()).transitions]
+        assert seen[-1] == "interrupted"
+
+    run_fleet(main)
+
+
+def test_a_job_that_does_not_exist_and_a_connection_that_is_not_open_are_named() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        with pytest.raises(Refused) as refused:
+            async for _ in fleet.client().job("none").events():
+                pass
+        assert refused.value.refusal.code == "unknown-job"
+
+    run_fleet(main)
+    with pytest.raises(RuntimeError, match="async with"):
+        _ = Tutti("tcp/127.0.0.1:1").bus

@@ -1,0 +1,192 @@
+"""`docs/bus.md` against a fleet at work: each key that it names is there, and each request that it shows is understood.
+
+Requests are made of the page's own words, without the client.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cluster.worlds import demo_fleet, demo_job, job, run_fleet
+
+import orchestrator.model.messages
+import orchestrator.model.report
+import orchestrator.model.service
+import orchestrator.model.state
+from orchestrator.bus.base import RequestRefused, Sample
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.base import Model
+from orchestrator.model.job import Job
+
+PAGE = (Path(__file__).parents[2] / "docs" / "bus.md").read_text(encoding="utf-8")
+MODELS = {
+    module.__name__.rpartition(".")[2]: module
+    for module in (
+        orchestrator.model.messages,
+        orchestrator.model.report,
+        orchestrator.model.service,
+        orchestrator.model.state,
+    )
+}
+
+# Values for the fields that the page names.
+EXAMPLES: dict[str, Any] = {
+    "actor": "reader",
+    "axes": ["gantry.x"],
+    "after": None,
+    "before": "none",
+    "check": True,
+    "client_key": "of mine",
+    "command": "MG TIME",
+    "dry_run": False,
+    "event": None,
+    "from_step": 0,
+    "holder": "hand-reader",
+    "i_know": True,
+    "job_id": "none",
+    "job_ids": ["none"],
+    "keep": 10,
+    "limit": 5,
+    "mode": "decelerate",
+    "name": "",
+    "older_s": 1e6,
+    "reason": "",
+    "renew": False,
+    "reserve": False,
+    "seq": 1,
+    "since": "2026-01-01T00:00:00Z",
+    "state": None,
+    "step": 0,
+    "terms": {},
+    "ttl_s": 2.0,
+    "valid_ms": 150,
+    "velocities": {"gantry.x": 0.0},
+    "what": "reading",
+}
+
+
+SILENT = {
+    "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
+    "log/{role}/{id}": "in virtual time logs go to their sinks",
+}
+
+
+def section(title: str) -> list[tuple[str, str]]:
+    """The rows of the table under a heading: first and second cell."""
+    text = PAGE.partition(f"## {title}")[2].partition("\n## ")[0]
+    rows = [
+        line.strip("| ").split(" | ", 1) for line in text.splitlines() if line.startswith("| `") or " `live" in line
+    ]
+    return [(cells[0], cells[1]) for cells in rows if len(cells) == 2]
+
+
+def shown_fields(cell: str) -> list[list[str]]:
+    """The names in each of the braces that stand in code marks."""
+    found: list[list[str]] = []
+    for shown in re.findall(r"`\{([^`]*)\}`", cell):
+        flat = re.sub(r"\[[^\]]*\]|\{[^}]*\}", "", shown)
+        found.append([part.partition(":")[0].strip() for part in flat.split(",") if part.strip()])
+    return found
+
+
+def requests() -> list[tuple[str, list[str], list[str]]]:
+    """Key, request's fields, answer's fields, of every verb of the page."""
+    rows: list[tuple[str, list[str], list[str]]] = []
+    for keys, cell in section("To act"):
+        asked, _, answered = cell.partition("→")
+        fields = shown_fields(asked)
+        for key in re.findall(r"`([^`]+)`", keys):
+            answers = shown_fields(answered)
+            rows.append((key, fields[0] if fields else [], answers[0] if answers else []))
+    return rows
+
+
+def models_of(cell: str) -> list[type[Model]]:
+    named = re.findall(r"`(state|report|messages|service)\.(\w+)`", cell)
+    return [getattr(MODELS[module], name) for module, name in named]
+
+
+def test_the_page_names_every_verb_of_the_service_and_nothing_else() -> None:
+    async def main(fleet: VirtualFleet) -> set[str]:
+        with pytest.raises(RequestRefused, match="known:") as refused:
+            await fleet.client().bus.request(f"{fleet.client().keys.prefix}/svc/no-such", b"{}", 1.0)
+        return set(str(refused.value).partition("known: ")[2].split(", "))
+
+    named = {key.removeprefix("svc/") for key, _, _ in requests() if key.startswith("svc/")}
+    assert named == run_fleet(main)
+
+
+def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> None:
+    rows = requests()
+    assert len(rows) > 15
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        prefix = client.keys.prefix
+        for number, (key, fields, answers) in enumerate(rows):
+            request = {name: EXAMPLES[name] for name in fields if name != "request_id" and name in EXAMPLES}
+            if "request_id" in fields:
+                request["request_id"] = f"r{number}"
+            if "job" in fields:
+                request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
+            if "configuration" in fields:
+                request["configuration"] = demo_fleet().to_plain()
+            assert set(request) == set(fields), f"{key}: no example of {set(fields) - set(request)}"
+            full = f"{prefix}/{key}".replace("{id}", "gantry")
+            payload = json.dumps(request).encode() if fields else b""
+            answer = json.loads(await client.bus.request(full, payload, 30.0))
+            assert set(answers) <= set(answer), f"{key} answers {sorted(answer)}"
+            if fields:
+                with pytest.raises(RequestRefused, match="no_such"):
+                    await client.bus.request(full, json.dumps(request | {"no_such": 1}).encode(), 5.0)
+
+    run_fleet(main)
+
+
+def test_every_key_of_the_page_is_heard_while_a_job_runs_and_holds_what_it_names() -> None:
+    rows = [(key, cell) for keys, cell in section("To watch") for key in re.findall(r"`([^`]+)`", keys)]
+    rows = [(key, cell) for key, cell in rows if not key.startswith("live/")]
+    assert len(rows) >= 9
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        heard: dict[str, list[Sample]] = {key: [] for key, _ in rows}
+        for key, _ in rows:
+            expression = re.sub(r"\{\w+\}", "*", f"{client.keys.prefix}/{key}")
+            await client.bus.subscribe(expression, heard[key].append)
+        run: Job = demo_job()
+        assert (await client.wait(await client.submit(run))).state == "done"
+        # One that ends badly is warned of.
+        assert (await client.wait(await client.submit(job("[{do: move, to: {gantry.x: 9999}}]")))).state != "done"
+        for key, cell in rows:
+            models = models_of(cell)
+            if key in SILENT:
+                continue
+            assert heard[key], f"nothing on {key}"
+            assert models, f"{key} names no model"
+            for sample in heard[key]:
+                if sample.payload:
+                    models[0].model_validate_json(sample.payload)
+
+    run_fleet(main)
+
+
+def test_a_request_that_comes_twice_is_done_once() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.client()
+        key = f"{client.keys.prefix}/svc/submit"
+        request = {"actor": "reader", "job": json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())}
+        first = request | {"request_id": "one", "client_key": "a"}
+        answers = [await client.bus.request(key, json.dumps(first).encode(), 5.0) for _ in range(2)]
+        assert answers[0] == answers[1]
+        prune = {"request_id": "two", "actor": "reader", "older_s": 0.0, "keep": 0}
+        await client.wait(json.loads(answers[0])["job_id"])
+        prunes = [
+            await client.bus.request(f"{client.keys.prefix}/svc/prune", json.dumps(prune).encode(), 5.0)
+            for _ in range(2)
+        ]
+        assert [json.loads(each)["jobs"] for each in prunes] == [1, 1]
+
+    run_fleet(main)
