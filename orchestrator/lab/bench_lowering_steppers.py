@@ -4,7 +4,7 @@ Rates are whole steps/s and ramps whole steps or milliseconds, so that what a un
 a move; the figures are given for all moves together and by mean rate.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 from adapters.contract import CannotDo, Driver, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
+from adapters.shrc203.fleetaxes import bounds
+from adapters.shrc203.trapezoid import fit
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
@@ -38,7 +40,8 @@ ASKED_P99_MS, ASKED_MAX_MS = 0.2, 0.1
 @dataclass(frozen=True, slots=True)
 class Stepper:
     """A make and its controller of one axis `a`. quickest, acceleration: in steps/s (²). begins: what a line of
-    `Lowered.commands` that is a motion begins with. port: of the simulated unit."""
+    `Lowered.commands` that is a motion begins with. port: of the simulated unit. alone: what the nearest move of one
+    command takes, in s, to compare with."""
 
     make: str
     link: Mapping[str, Any]
@@ -49,6 +52,14 @@ class Stepper:
     acceleration: float
     begins: str
     port: str = "serial"
+    alone: Callable[[Controller, Profile], float] | None = None
+
+
+def _one_trapezoid(config: Controller, profile: Profile) -> float:
+    way = abs(profile.end_counts - profile.start_counts)
+    shape = fit(way, profile.duration_s, profile.durations_s[0], bounds(config.axes["a"]))
+    assert shape is not None
+    return shape.duration_s
 
 
 STEPPERS = {
@@ -82,6 +93,7 @@ STEPPERS = {
             50_000.0,
             500_000.0,
             "MP",
+            alone=_one_trapezoid,
         ),
         Stepper(
             "cia402",
@@ -99,13 +111,15 @@ STEPPERS = {
 
 
 class _Found(NamedTuple):
-    """One move: its mean rate, steps/s; distances of durations in ms, executed only of a part; motor commands."""
+    """One move: its mean rate, steps/s; distances of durations in ms, executed only of a part, and by one command alone
+    where that is known; motor commands."""
 
     rate: float
     planned_s: float
     lowered_ms: float
     predicted_ms: float | None
     planned_ms: float | None
+    alone_ms: float | None
     commands: int
 
 
@@ -127,6 +141,9 @@ def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
         ),
         figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
     ]
+    if subject.alone is not None:
+        alone = [each.alone_ms for each in found if each.alone_ms is not None]
+        figures.append(figure("all, lowered-planned by one command", alone, "ms"))
     chosen: list[Chosen] = [Chosen("refused", {"slower than the unit can": refused[0]})]
     # Where a step of the cruise's speed changes the duration by more than the longest ramp can make good, it shows.
     within = [each.lowered_ms for each in found if each.planned_s < each.rate]
@@ -184,7 +201,9 @@ async def _measure(
         predicted_s = lowered.durations_s["a"]
         commands = sum(line.startswith(subject.begins) for line in lowered.commands)
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
-        predicted_ms = planned_ms = None
+        predicted_ms = planned_ms = alone_ms = None
+        if subject.alone is not None:
+            alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
         if len(found) in executed:
             start_ns, end_ns = await _executed(clock, driver, unit, profile)
             at = profile.end_counts
@@ -198,6 +217,7 @@ async def _measure(
                 abs(predicted_s - profile.duration_s) * 1e3,
                 predicted_ms,
                 planned_ms,
+                alone_ms,
                 commands,
             )
         )
