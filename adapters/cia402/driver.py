@@ -1,6 +1,7 @@
 """The driver of one CiA 402 drive."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Literal
 
 from adapters.cia402 import eds, startup, states
@@ -348,6 +349,8 @@ class CiaDriver(Driver):
         found, self._node = self._node, None
         if found is not None:
             if self._mover is not None:
+                with suppress(DriverFault, LinkClosed):
+                    await self._mover.abandon()
                 self._mover.forget()
             if self._power is not None:
                 self._power.forget()

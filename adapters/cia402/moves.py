@@ -24,6 +24,7 @@ from adapters.contract import CannotDo, DriverFault, Firer, Outcome, Span
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
 from orchestrator.link.base import LinkClosed
 
+_GONE_NS = 50 * NS_PER_MS  # from a start to the first count of its motion that is told
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is held, or has never begun
 _MODES = {
     o.PROFILE_POSITION_MODE: "profile position",
@@ -254,6 +255,12 @@ class Mover:
             self._starts.drop(self._node.number, move.shot)
             self._starts.flush()
 
+    async def abandon(self) -> None:
+        """Nobody leads the drive on: it halts, and says so. Raises `DriverFault`, `LinkClosed`."""
+        move = self.move
+        if move is not None and move.ride is not None and not move.ride.done and move.shot.fired.done():
+            await self._node.sdo.write(o.CONTROLWORD, states.ENABLE | states.HALT)
+
     def forget(self) -> None:
         """The connection ends; what waits for an instant does not any more."""
         move, self.move = self.move, None
@@ -293,6 +300,11 @@ class Mover:
         taken = await node.until(lambda: self._interrupted_now(move) or bool(taken_ns()), latest_ns + node.answer_ns)
         if not taken_ns() and move.stopped_ns is None:
             raise self._not_started(move, taken)
+        # On a limit a set-point is taken, and nothing moves.
+        gone_ns = node.clock.now_ns() + _GONE_NS
+        await node.until(lambda: self._interrupted_now(move) or node.demand != lowered.start_counts, gone_ns)
+        if move.stopped_ns is None and self._trouble(move) and node.demand == lowered.start_counts:
+            raise self._not_started(move, True)
         if taken_ns():
             # It does not say that it moves already.
             latest_ns = max(earliest_ns, min(latest_ns, taken_ns() + self._after_taking_ns))

@@ -39,13 +39,15 @@ YASKAWA = {"home_edge": {"X": -2000, "Y": -1500}, "index_every": {"X": 200, "Y":
 class Case:
     """A controller as in a fleet file, its simulator's options, the port of it that the link leads to.
 
-    beside: addresses of controllers like it on the same line, which are polled all the while.
+    beside: addresses of controllers like it on the same line, which are polled all the while. led: its motion is led by
+    the adapter, position by position, and ends with the connection.
     """
 
     config: Mapping[str, Any]
     simulate: Mapping[str, Any]
     port: str
     beside: tuple[int, ...] = ()
+    led: bool = False
 
     @property
     def controller(self) -> Controller:
@@ -91,6 +93,7 @@ ORG = {"axes": 2, "hardware": ["io_port"], "org_steps": {"1": [-9000, -2000], "2
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CAN = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "unit": 3}
 DRIVE = {**SERVO, "homing": {"method": "home_switch_negative"}}
+SMOOTH = {**DRIVE, "limits": {"velocity": 80, "acceleration": 400, "jerk": 8000}}
 SWITCH = {"home_switch": [-3000, -2000]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
@@ -159,6 +162,9 @@ CASES = {
     ),
     "cia402 alone": case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can"),
     "cia402, four on one bus": replace(case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can"), beside=(1, 2, 120)),
+    "cia402, streamed to, two on one bus": replace(
+        case("cia402", CAN, {"u": "1"}, SMOOTH, SWITCH, "can"), beside=(120,), led=True
+    ),
 }
 
 
@@ -212,18 +218,17 @@ class World:
             await sleep_ns(self.clock, 90 * NS_PER_MS + self.draw.randrange(20 * NS_PER_MS))
 
     async def plan(self, targets: Mapping[str, float], stretch: float = 1.3) -> dict[str, Profile]:
-        """Trapezoids to `targets` (counts) from where the axes stand, of one duration."""
+        """Profiles to `targets` (counts) from where the axes stand, of one duration; trapezoids where no jerk is
+        limited."""
         now = (await self.driver.poll()).axes
-        moves = [
-            AxisMove(
-                name,
-                now[name].commanded_counts,
-                round(target),
-                self.config.axes[name].limits.velocity * float(self.config.axes[name].scale),
-                self.config.axes[name].limits.acceleration * float(self.config.axes[name].scale),
-            )
-            for name, target in targets.items()
-        ]
+        order = max(self.driver.capabilities.orders)
+        moves: list[AxisMove] = []
+        for name, target in targets.items():
+            axis, here = self.config.axes[name], now[name].commanded_counts
+            scale, limits = float(axis.scale), axis.limits
+            jerk = None if limits.jerk is None else limits.jerk * scale
+            velocity, acceleration = limits.velocity * scale, limits.acceleration * scale
+            moves.append(AxisMove(name, here, round(target), velocity, acceleration, jerk, order=order))
         plan = plan_step(moves)
         return dict(plan.stretched(plan.duration_s * stretch).profiles)
 
