@@ -15,7 +15,7 @@ from typing import NamedTuple
 from adapters.shrc203.trapezoid import RAMP_MAX_MS, Bounds, Leg, Trapezoid, start_speeds
 
 FIRST_S = 1.0  # the second move is loaded while the first one runs
-# Ramps that are tried: R in ms at least, and from which part of the way between the highest and the lowest F.
+# Ramps that are tried: R in ms at least, and how much of what F is above the lowest start speed they climb.
 _RAMPS = ((0, 0.0), (500, 0.5), (950, 0.5), (950, 1.0))
 _TRIED = 5  # values of a ramp's rise and time, from the least that are wanted
 _GOOD_S = 20e-6  # of durations so near to the wanted one the path decides
