@@ -28,8 +28,18 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
 @click.option("--port", default=7447, show_default=True, help="Port of the router that is started, on 127.0.0.1.")
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
 @click.option("--take-over", is_flag=True, help="Reign although another coordinator does.")
+@click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
 @click.option("--truth", is_flag=True, help="Simulators write what really moved, and when, to STATE/truth.")
-def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None, take_over: bool, truth: bool) -> None:
+def up(
+    file: Path,
+    simulated: bool,
+    connect: str,
+    port: int,
+    state: Path | None,
+    take_over: bool,
+    standby: bool,
+    truth: bool,
+) -> None:
     """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends it all.
 
     Ctrl-C stops the running job first; a process that dies is started again.
@@ -40,7 +50,7 @@ def up(file: Path, simulated: bool, connect: str, port: int, state: Path | None,
     async def main() -> None:
         fleet = load_checked_fleet(file)
         folder = state or default_state(fleet.fleet)
-        live = LiveFleet(fleet, folder, _say, connect, port, simulated, take_over, truth)
+        live = LiveFleet(fleet, folder, _say, connect, port, simulated, take_over, truth, standby)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):

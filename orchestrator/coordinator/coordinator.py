@@ -139,9 +139,9 @@ class Coordinator:
             "check-wiring": (Request, self._check_wiring),
         }
 
-    async def start(self, take_over: bool = False) -> None:
-        """Begin to reign. Raises `AnotherReigns`, `JournalError`."""
-        await self.throne.take(take_over)
+    async def start(self, take_over: bool = False, vacant: bool = False) -> None:
+        """Begin to reign. Raises `AnotherReigns`, `JournalError`. take_over, vacant: see `Throne.take`."""
+        await self.throne.take(take_over, vacant)
         self.throne.on_lost = self._depose
         self._view.listen_states(self._see)
         await self._view.start()

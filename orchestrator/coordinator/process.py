@@ -1,8 +1,8 @@
 """The coordinator as a process of its own: `python -m orchestrator.coordinator.process --help`.
 
-Prints `ready` when it reigns. Ends with SIGTERM or SIGINT (a running job is stopped first), with its parent, and
-when it is deposed. Exit codes: 2 bad input, 3 the bus can not be reached, 4 another coordinator reigns, 5 the
-journal can not be used, 6 deposed.
+Prints `ready` when it reigns, or stands by to reign as soon as nobody else does. Ends with SIGTERM or SIGINT (a running
+job is stopped first), with its parent, and when it is deposed. Exit codes: 2 bad input, 3 the bus can not be reached,
+4 another coordinator reigns, 5 the journal can not be used, 6 deposed.
 """
 
 import argparse
@@ -12,7 +12,9 @@ import sys
 import uuid
 from pathlib import Path
 
+from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import Keys
+from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
@@ -21,6 +23,7 @@ from orchestrator.clock.parent import die_with_parent
 from orchestrator.coordinator.coordinator import Coordinator, Court
 from orchestrator.coordinator.journal import Journal, JournalError, Threaded
 from orchestrator.coordinator.reign import AnotherReigns
+from orchestrator.coordinator.standby import Reigning, vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 
@@ -30,11 +33,41 @@ BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, DEPOSED = 2, 3, 4, 5, 6
 async def run(options: argparse.Namespace) -> int:
     """Reign until told to end; the exit code."""
     fleet = load_fleet(options.fleet)
-    journal = Journal(options.journal)
     bus = await open_bus(options.connect)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, end.set)
+    try:
+        if options.standby:
+            _say_ready()
+            if not await _stood_by(options, bus, Keys(fleet.fleet), end):
+                return 0
+            # It may have been reloaded meanwhile.
+            fleet = load_fleet(options.fleet)
+        return await _reign(options, fleet, bus, end)
+    finally:
+        await bus.close()
+
+
+async def _stood_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyncio.Event) -> bool:
+    """Wait until nobody reigns, and see to it that who did is gone; False when this process is to end."""
+    vacant = asyncio.ensure_future(vacancy(bus, keys, LiveClock()))
+    ended = asyncio.ensure_future(end.wait())
+    await asyncio.wait([vacant, ended], return_when=asyncio.FIRST_COMPLETED)
+    for wait in (vacant, ended):
+        wait.cancel()
+    if end.is_set():
+        return False
+    killed = Reigning(options.journal).end_other()
+    if killed:
+        log = Log("coordinator", "standby", LiveClock(), file_sink(options.log), bus, keys)
+        log.warning(f"the coordinator of process {killed} was silent and is ended; taking over")
+    return True
+
+
+async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event) -> int:
+    loop = asyncio.get_running_loop()
+    journal = Journal(options.journal)
     court = Court(
         bus=bus,
         keys=Keys(fleet.fleet),
@@ -47,9 +80,10 @@ async def run(options: argparse.Namespace) -> int:
     )
     coordinator = Coordinator(fleet, court)
     try:
-        await coordinator.start(options.take_over)
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
+        await coordinator.start(options.take_over, vacant=options.standby)
+        Reigning(options.journal).write()
+        if not options.standby:
+            _say_ready()
         waits = [loop.create_task(end.wait()), loop.create_task(coordinator.deposed.wait())]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for wait in waits:
@@ -59,8 +93,12 @@ async def run(options: argparse.Namespace) -> int:
             await coordinator.close()
         return DEPOSED if deposed else 0
     finally:
-        await bus.close()
         journal.close()
+
+
+def _say_ready() -> None:
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
 
 
 def save_fleet(path: Path, fleet: Fleet) -> None:
@@ -77,6 +115,7 @@ def main() -> int:
     parser.add_argument("--journal", type=Path, required=True)
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="reign although another coordinator does")
+    parser.add_argument("--standby", action="store_true", help="reign as soon as nobody else does on this journal")
     parser.add_argument("--parent", type=int, default=0, help="end when this process does")
     options = parser.parse_args()
     if options.parent:

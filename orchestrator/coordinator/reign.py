@@ -43,10 +43,12 @@ class Throne:
         self._declared: list[Declared] = []
         self._beat: asyncio.Task[None] | None = None
 
-    async def take(self, take_over: bool) -> None:
-        """Begin to reign. Raises `AnotherReigns` when somebody else does, unless `take_over`."""
+    async def take(self, take_over: bool, vacant: bool = False) -> None:
+        """Begin to reign. Raises `AnotherReigns` when somebody else does, unless `take_over`. vacant: nobody does, as
+        it is known already."""
         self._declared.append(await self._bus.subscribe(self._keys.reign, self._hear))
-        await sleep_ns(self._clock, LISTEN_NS)
+        if not vacant:
+            await sleep_ns(self._clock, LISTEN_NS)
         other = self._heard
         if other is not None and not take_over:
             await self.close()

@@ -28,6 +28,7 @@ RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 # These ends are final: starting again would give the same (bad input, port or reign taken, journal of no use).
 FINAL = frozenset({2, 4, 5})
 TAKEN = 4  # of the router: somebody else listens there
+STANDBY = "coordinator/standby"
 DEPOSED = 6  # of the coordinator: another reigns, and the adapter hosts are at its service
 # What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
 _FOUND = {
@@ -78,7 +79,8 @@ class LiveFleet:
     """Everything that `tutti up` runs. `say` gets lines for people.
 
     connect: a router that is there; without it one is started on `port`. simulated: every link is replaced by that of
-    a simulated controller. truth: simulators write what they really did to `state`/truth.
+    a simulated controller. truth: simulators write what they really did to `state`/truth. standby: a second
+    coordinator takes over when the first one dies or hangs.
     """
 
     fleet: Fleet
@@ -89,6 +91,7 @@ class LiveFleet:
     simulated: bool = False
     take_over: bool = False
     truth: bool = False
+    standby: bool = False
     children: dict[str, Child] = field(default_factory=dict[str, Child])
     failed: "asyncio.Future[str] | None" = None
     _lock: TextIO | None = None
@@ -105,7 +108,11 @@ class LiveFleet:
             file.write_text(self.fleet.model_dump_json(), encoding="utf-8")
             for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
                 await self._start_child(f"host/{host}", self._host_command(host, file))
-            await self._start_child("coordinator", self._coordinator_command(file))
+            coordinator = await self._start_child("coordinator", self._coordinator_command(file))
+            if self.standby:
+                # Whichever of the two is started again stands by behind the other one.
+                coordinator.command = [*coordinator.command, "--standby"]
+                await self._start_child(STANDBY, coordinator.command)
         except BaseException:
             await self.close()
             raise
@@ -118,6 +125,9 @@ class LiveFleet:
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
+        # Both coordinators at once: the one that stands by must not take over from the other.
+        both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
+        await asyncio.gather(*(self._end(child) for child in both))
         order = ["coordinator", "host", "sim", "router"]
         for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
             await self._end(child)
@@ -280,7 +290,7 @@ class LiveFleet:
             code = await child.process.wait()
             if child.ended:
                 return
-            if code == DEPOSED:
+            if code == DEPOSED and not self.standby:
                 self.say(f"{child.name} is deposed, another coordinator reigns; the adapter hosts here serve that one")
                 return
             if code in FINAL:

@@ -22,6 +22,7 @@ from orchestrator.clock.virtual import Process, VirtualClock
 from orchestrator.coordinator.coordinator import Coordinator, Court
 from orchestrator.coordinator.journal import Journal, inline
 from orchestrator.coordinator.reign import AnotherReigns
+from orchestrator.coordinator.standby import vacancy
 from orchestrator.lab.bridge import network
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
@@ -234,8 +235,9 @@ class VirtualFleet:
 
     # Coordinators
 
-    def start_coordinator(self, name: str, take_over: bool = False) -> Process:
-        """Start a coordinator on the fleet's journal. What it raises at its start stands in `lines`."""
+    def start_coordinator(self, name: str, take_over: bool = False, standby: bool = False) -> Process:
+        """Start a coordinator on the fleet's journal. What it raises at its start stands in `lines`. standby: it reigns
+        as soon as nobody else does, and ends who did."""
         label = self._fresh(f"coordinator-{name}")
         process = Process(self.clock.loop, label)
         bus = self.net.join(label)
@@ -245,7 +247,12 @@ class VirtualFleet:
 
         async def run() -> None:
             try:
-                await coordinator.start(take_over)
+                if standby:
+                    await vacancy(bus, self.keys, self.clock)
+                    for other, (silent, _) in self.coordinators.items():
+                        if other != name and silent.alive:
+                            silent.kill()
+                await coordinator.start(take_over, vacant=standby)
             except AnotherReigns as error:
                 self.lines.append(str(error))
 

@@ -45,14 +45,14 @@ def free_port() -> int:
 class RunningFleet:
     """The demo fleet, or one of that name, under `tutti up --sim`, with everything it writes in `folder`."""
 
-    def __init__(self, folder: Path, fleet: Path = EXAMPLES / "demo.fleet.yaml") -> None:
+    def __init__(self, folder: Path, fleet: Path = EXAMPLES / "demo.fleet.yaml", *options: str) -> None:
         self.folder = folder
         self.state = folder / "state"
         self.port = free_port()
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
         self.said = folder / "up.out"
         command = [*COMMAND, "up", str(fleet), "--sim", "--truth"]
-        command += ["--state", str(self.state), "--port", str(self.port)]
+        command += ["--state", str(self.state), "--port", str(self.port), *options]
         with self.said.open("w") as out:
             self.up = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
         self._known: set[int] = set()
