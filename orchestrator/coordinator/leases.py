@@ -1,8 +1,9 @@
 """Who may move which axes: one holder each, known here, enforced in the adapters, visible on the bus."""
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from orchestrator.bus.base import Bus, BusError, Declared, Priority, Sample
 from orchestrator.bus.keys import Keys
@@ -55,6 +56,7 @@ class LeaseBook:
         self._given_back = asyncio.Event()
         self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
         self._listeners: list[Callable[[str], None]] = []
 
     async def start(self) -> None:
@@ -204,12 +206,19 @@ class LeaseBook:
         while True:
             await sleep_ns(self._clock, RENEW_NS)
             now_ns = self._clock.now_ns()
-            for held in list(self._held.values()):
+            # One that does not answer must not keep the others' leases from being renewed in time.
+            for held in self._held.values():
+                if held.brief:
+                    continue
                 if held.until_ns is not None and held.until_ns <= now_ns:
-                    await self.give_back(held.holder, "it was not renewed")
-            await asyncio.gather(
-                *(self._renew_one(held) for held in self._held.values() if not (held.brief or held.idle))
-            )
+                    self._spawn(self.give_back(held.holder, "it was not renewed"))
+                elif not held.idle:
+                    self._spawn(self._renew_one(held))
+
+    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def _renew_one(self, held: Held) -> None:
         try:
