@@ -1,9 +1,10 @@
 """One job that runs: its leases, its steps one after the other, its pauses, and its report."""
 
 import asyncio
+from contextlib import suppress
 from dataclasses import dataclass
 
-from orchestrator.bus.base import Bus, Priority
+from orchestrator.bus.base import Bus, BusError, Priority
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
@@ -20,6 +21,8 @@ from orchestrator.model.job import Home, Job, Move, Step
 from orchestrator.model.report import JobReport, JobState, Progress, StepReport, Transition
 
 PROGRESS_NS = NS_PER_S // 5
+REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show that it is over
+REST_LOOK_NS = NS_PER_S // 20
 
 
 class Interrupted(Exception):
@@ -188,6 +191,7 @@ class JobRun:
             check_job(works.view.fleet, self.to_run)
             axes = axes_of(works.view.fleet, self.to_run)
             await works.leases.take(self.row.id, self.row.actor, f"job {self.row.name!r}", axes)
+            await self._until_at_rest()
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):
                 self._step, self._step_t0_ns, self._step_s = index, 0, 0.0
@@ -319,6 +323,22 @@ class JobRun:
                 await works.plain.enable(per_job, False, self.row.id, self.row.actor)
             except Refuse as error:
                 works.log.warning(f"left enabled after the job: {error.refusal.text}", job=self.row.id)
+
+    async def _until_at_rest(self) -> None:
+        """Wait until what was stopped before, with an earlier job or reign, has come to the end of its ramp. Who does
+        not answer, or takes longer than it has declared, is not waited for: planning refuses it."""
+        await asyncio.gather(*(self._rests(member) for member in self.members))
+
+    async def _rests(self, member: str) -> None:
+        works = self._works
+        with suppress(BusError):
+            costs = (await works.view.info(member)).costs
+            until_ns = works.clock.now_ns() + costs.stop_ns + REST_NS
+            while works.clock.now_ns() < until_ns:
+                state = await works.view.fresh(member)
+                if state.mode not in ("moving", "stopping") and not any(each.moving for each in state.axes.values()):
+                    return
+                await sleep_ns(works.clock, REST_LOOK_NS)
 
     def _is_enabled(self, axis: str) -> bool:
         controller, _, name = axis.partition(".")

@@ -32,6 +32,10 @@ class JournalError(Exception):
         self.remedy = remedy
 
 
+class HasEnded(JournalError):
+    """The job has ended already: another coordinator has ended it. What is in the journal stands."""
+
+
 class JobRow(NamedTuple):
     """A job as the journal has it.
 
@@ -193,8 +197,9 @@ class Journal:
         return bool(self._read("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
 
     def change(self, job_id: str, transition: Transition, report: JobReport | None = None) -> None:
-        """Note a change of a job's state, with its report if it has ended."""
+        """Note a change of a job's state, with its report if it has ended. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
+            self._require_unended(job_id)
             self._note(job_id, transition)
             if report is not None:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
@@ -223,6 +228,11 @@ class Journal:
                 self._db.execute("UPDATE jobs SET priority = ? WHERE id = ?", (priority, job_id))
                 self._note(job_id, transition)
 
+    def _require_unended(self, job_id: str) -> None:
+        row = self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone()
+        if row is not None and row[0] in ENDED:
+            raise HasEnded(f"job {job_id} is {row[0]} already: another coordinator has ended it")
+
     def _is_queued(self, job_id: str) -> bool:
         return self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone() == ("queued",)
 
@@ -233,8 +243,9 @@ class Journal:
         self._db.execute("UPDATE jobs SET state = ?, reason = ? WHERE id = ?", (state, reason, job_id))
 
     def decide(self, job_id: str, step: int, epoch: int, t0_fleet_ns: int, members: str, utc: str) -> None:
-        """Note that all members have promised: from here on the step may move."""
+        """Note that all members have promised: from here on the step may move. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
+            self._require_unended(job_id)
             self._db.execute(
                 "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, step, epoch, t0_fleet_ns, members, utc)
             )

@@ -259,13 +259,16 @@ class Motion:
         raise refuse(refused)
 
     async def _disarm(self, moving: Moving) -> None:
-        """Unload all; a member that says it moves already, or says nothing, is stopped as well."""
-        requests = {member: Disarm(**self._ref(moving)) for member in moving.proposals}
-        replies = await self._ask_all("disarm", requests, Reply)
+        """Unload all, each for itself: a member that says it moves already, or says nothing, is stopped as well, and
+        no other one's silence holds that up."""
         movers = moving.movers
-        doubtful = [member for member, reply in replies.items() if reply.refused is not None and member in movers]
-        if doubtful:
-            await self.stop(doubtful, "decelerate", moving.actor, "disarm did not succeed")
+
+        async def unload(member: str) -> None:
+            (reply,) = (await self._ask_all("disarm", {member: Disarm(**self._ref(moving))}, Reply)).values()
+            if reply.refused is not None and member in movers:
+                await self.stop([member], "decelerate", moving.actor, "disarm did not succeed")
+
+        await asyncio.gather(*(unload(member) for member in moving.proposals))
 
     # Watch and report
 

@@ -14,7 +14,7 @@ from orchestrator.bus.base import Declared, Priority, Sample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.board import Board, queued_progress
 from orchestrator.coordinator.job_run import Interrupted, JobRun, Outcome, Works
-from orchestrator.coordinator.journal import JobRow, JournalError
+from orchestrator.coordinator.journal import HasEnded, JobRow, JournalError
 from orchestrator.coordinator.queue import Choice, Waiting, choose, in_order, needs_of, steps_to_run
 from orchestrator.model.base import UnknownName
 from orchestrator.model.fleet import by_controller
@@ -286,6 +286,9 @@ class Runner:
         while True:
             try:
                 await self._end(run.row, run.job, outcome.report, outcome.state, outcome.reason, outcome.actor)
+                return
+            except HasEnded as error:
+                self._works.log.warning(str(error), job=run.row.id)
                 return
             except JournalError as error:
                 self._works.log.warning(f"the end of a job can not be noted yet: {error}", job=run.row.id)

@@ -86,10 +86,10 @@ def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
     journal = Journal(":memory:")
     for number in range(1, 11):
         journal.accept(str(number), f"k{number}", JOB, utc(number))
+        journal.decide(str(number), 0, 1, 1, "gantry", utc(number))
         if number not in (2, 9):
             end(journal, str(number))
     journal.accept("x", "x", JOB, utc(11), Terms(after="3"))
-    journal.decide("4", 0, 1, 1, "gantry", utc(4))
     assert journal.prune(utc(8), keep=5) == 4
     # 2 has not ended, x comes after 3, and of the newest five none goes.
     assert sorted(row.id for row in journal.find(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
