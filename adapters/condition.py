@@ -14,7 +14,8 @@ STARTING = Fault(code="starting", text="the adapter has not reached the controll
 class Condition:
     """reading: the last poll, None while the controller can not be reached. referenced: by axis. homing: axes that
     look for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not
-    open yet. stopping_until_ns: until when a motion without a step is a stop, host time. restarts: of the controller,
+    open yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last
+    told to stop. restarts: of the controller,
     as far as polls have shown them."""
 
     config: Controller
@@ -26,6 +27,7 @@ class Condition:
     braked: set[str] = field(default_factory=set[str])
     faults: list[Fault] = field(default_factory=lambda: [STARTING])
     stopping_until_ns: int = 0
+    stopped_ns: int = 0
     restarts: int = 0
 
     def __post_init__(self) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any, cast
 
@@ -31,6 +32,7 @@ ANSWER_LEAVES_NS = 20 * NS_PER_MS  # for the answer to `configure` to be on its 
 BACKLOG_LIMIT = 200  # samples; some seconds of states and events
 
 
+@cache
 def find_make(name: str) -> Make:
     """The make that the entry points of `tutti.adapters` give for `name`; `ValueError` lists the known ones."""
     known = entry_points(group="tutti.adapters")

@@ -81,6 +81,7 @@ class Member:
         self._spawn = spawn
         self._turn = asyncio.Lock()
         self._interruptions = 0
+        self._followed = 0
         self.ticket: Ticket | None = None
 
     # The way of a step
@@ -252,11 +253,24 @@ class Member:
         if same and now is not None and now.phase in (Phase.ARMED, Phase.COMMITTED):
             await self.abandon("T0 came without a go")
 
+    @property
+    def following(self) -> bool:
+        """Whether the driver has not come to the end of a step yet, though that may have been stopped."""
+        return self._followed > 0
+
     async def _follow(self, ticket: Ticket) -> None:
+        self._followed += 1
+        try:
+            await self._follow_to_end(ticket)
+        finally:
+            self._followed -= 1
+
+    async def _follow_to_end(self, ticket: Ticket) -> None:
         """From the gate to the end of the move, with the controller's own evidence."""
         try:
             started = await self._driver.started()
             if self.ticket is not ticket:
+                await self._driver.outcome()  # stopped just then, and not over before somebody has seen it rest
                 return
             moving = self.ticket = replace(ticket, phase=Phase.MOVING)
             evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
@@ -271,6 +285,8 @@ class Member:
                 self.lost(str(error))
                 if isinstance(error, DriverFault):
                     await self._driver.stop(False)
+            if self.ticket is None and isinstance(error, DriverFault):
+                await self._driver.disarm()  # what did not start as it should is not to be in the way of the next step
             return
         self.ticket = None
         for axis, span in outcome.ended.items():

@@ -37,7 +37,7 @@ _NONE = Fraction(0)
 class Presenter:
     """Builds and puts what others may know of one controller.
 
-    ticket: gives the step that it is loaded with. holders: who holds axes.
+    ticket: gives the step that it is loaded with; following: whether one is not over yet. holders: who holds axes.
     """
 
     def __init__(
@@ -47,6 +47,7 @@ class Presenter:
         remembered: Remembered,
         condition: Condition,
         ticket: Callable[[], Ticket | None],
+        following: Callable[[], bool],
         holders: Callable[[], dict[str, str]],
     ) -> None:
         self._seat = seat
@@ -56,6 +57,7 @@ class Presenter:
         self._remembered = remembered
         self._condition = condition
         self._ticket = ticket
+        self._following = following
         self._holders = holders
         self._events = EventRing(seat.instance)
         self._state_seq = 0
@@ -95,6 +97,9 @@ class Presenter:
             return "jogging"
         if any(axis.moving for axis in condition.reading.axes.values()):
             return "stopping" if self._clock.now_ns() < condition.stopping_until_ns else "moving"
+        unseen = condition.reading.at_ns < condition.stopped_ns and self._clock.now_ns() < condition.stopping_until_ns
+        if unseen or self._following():
+            return "stopping"  # nobody has seen yet that it rests
         return "fault" if condition.faults else "idle"
 
     def state(self) -> ControllerState:

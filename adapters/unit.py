@@ -33,6 +33,7 @@ from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, 
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
+BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
 STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
 
 
@@ -61,7 +62,13 @@ class Unit:
             self._spawn,
         )
         self._presenter = Presenter(
-            seat, self._fence, remembered, condition, lambda: self._member.ticket, lambda: self._leases.holders
+            seat,
+            self._fence,
+            remembered,
+            condition,
+            lambda: self._member.ticket,
+            lambda: self._member.following,
+            lambda: self._leases.holders,
         )
         self._jogging = Jogging(driver, seat.clock, condition, self._spawn, self.poke)
         self._motors = Motors(driver, seat.clock, condition, self._settling, self.refresh)
@@ -182,16 +189,19 @@ class Unit:
             await sleep_until_ns(self._clock, until_ns + NS_PER_MS)
 
     async def _beat(self) -> None:
-        """The adapter's heartbeat while its controller is not polled: it is out of reach, or its line is taken.
+        """The adapter's heartbeat while its controller is not polled: it is out of reach, its line is taken, or the
+        fleet file has it polled seldom.
 
         Not in motion: nobody is to believe that all is well there who has not seen it.
         """
-        beat_ns = round(NS_PER_S / self._config.state.idle_hz)
+        beat_ns = min(BEAT_NS, round(NS_PER_S / self._config.state.idle_hz))
         while True:
-            quiet = self._clock.now_ns() - self._presenter.published_ns >= beat_ns
-            if quiet and self._presenter.mode() != "moving":
-                self._presenter.publish()
-            await sleep_ns(self._clock, beat_ns)
+            wait_ns = self._presenter.published_ns + beat_ns - self._clock.now_ns()
+            if wait_ns <= 0:
+                if self._presenter.mode() != "moving":
+                    self._presenter.publish()
+                wait_ns = beat_ns
+            await sleep_ns(self._clock, wait_ns)
 
     def poke(self) -> None:
         """Poll soon: something has begun or ended."""
@@ -276,7 +286,9 @@ class Unit:
 
     async def stop(self, abort: bool, reason: str) -> None:
         """Stop the controller for whatever reason; nothing that is loaded starts afterwards."""
-        self._condition.stopping_until_ns = self._clock.now_ns() + self._driver.capabilities.costs.stop_ns
+        condition = self._condition
+        condition.stopped_ns = self._clock.now_ns()
+        condition.stopping_until_ns = condition.stopped_ns + self._driver.capabilities.costs.stop_ns
         self._jogging.ended_all(reason)
         try:
             await self._member.stop(abort, reason)

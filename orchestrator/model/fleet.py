@@ -203,7 +203,7 @@ class Output(Model):
 class StateRates(Model):
     """How often a controller's state is read and put on the bus, in Hz."""
 
-    moving_hz: float = Field(default=10.0, gt=0, le=200)
+    moving_hz: float = Field(default=10.0, ge=3, le=200, description="Who says nothing for 0.7 s in motion is stopped.")
     idle_hz: float = Field(default=5.0, gt=0, le=200)
 
 

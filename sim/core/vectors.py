@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
@@ -46,6 +47,7 @@ class VectorReport:
     failures: dict[str, list[Failure]] = field(default_factory=dict[str, list[Failure]])
 
 
+@cache
 def simulator(model: str) -> Simulator:
     """The simulator that the entry points of `tutti.simulators` give for `model`; `ValueError` lists the known ones."""
     known = entry_points(group="tutti.simulators")
