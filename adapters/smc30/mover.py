@@ -178,6 +178,8 @@ class Mover:
         span = await (self._started_by_line(move) if lowered.wait is not None else self._started_by_host(move))
         move.started = span
         await self._sleep_until(move, span.latest_ns)
+        if lowered.wait is None and lowered.target not in (None, lowered.start_counts):
+            await self._see_it_gone(move)
         moving = {} if lowered.target is None else dict.fromkeys(lowered.durations_s, span)
         return {name: moving.get(name, Span(move.t0_ns, move.t0_ns)) for name in lowered.durations_s}
 
@@ -214,6 +216,18 @@ class Mover:
                 "check cable and power; is its address given twice?",
             )
         return Span(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns)
+
+    async def _see_it_gone(self, move: Move) -> None:
+        """A unit whose end-of-travel input is active takes the order, and stays where it is."""
+        if (await self._unit.status()).busy or move.stopped_ns is not None:
+            return
+        if await self._unit.position() == move.lowered.start_counts:
+            move.running = False
+            raise DriverFault(
+                "not-started",
+                f"axis {move.lowered.axis} has taken the order to start, and has not left its place",
+                "is an end-of-travel input active?",
+            )
 
     async def _started_by_line(self, move: Move) -> Span:
         """By the line's window. The unit itself shows only that it is not ready, waiting or moving; where it can be
