@@ -6,9 +6,10 @@ CANopen that a master needs, over the project's own links.
 
 import asyncio
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Protocol
 
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, OpenLink
 from orchestrator.link.can import ERROR_BUS_OFF, ERROR_RESTARTED, CanFrame, CanLink
 
@@ -25,6 +26,9 @@ HEARTBEAT = 0x700
 _NODE = 0x7F
 
 SYNC = CanFrame(0x080)
+OPERATIONAL = 0x05
+"""The NMT state in a heartbeat."""
+_BEATS = 4  # within the time of a watchdog
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET = 0x01, 0x02, 0x80, 0x81
 
 
@@ -54,9 +58,13 @@ class Bus:
         self.units: dict[int, int] = {}
         self.periods_ms: dict[int, int] = {}
         """Of SYNC, as its drives that follow positions want it, by node: all the same, because one SYNC is for all."""
+        self.watchdogs_ms: dict[int, int] = {}
+        """Of drives that watch this computer's heartbeat, by node."""
+        self.host_node = 0
         self._can: CanLink | None = None
         self._opening = asyncio.Lock()
         self._reading: asyncio.Task[None] | None = None
+        self._beating: asyncio.Task[None] | None = None
         self._hearers: dict[int, Hearer] = {}
         self._owed: dict[int, tuple[CanFrame, ...]] = {}
 
@@ -78,6 +86,8 @@ class Bus:
                 self._can = CanLink(await open_link(), self.bitrate)
                 self.off = False
                 self._reading = asyncio.get_running_loop().create_task(self._read(self._can))
+                if self.watchdogs_ms:
+                    self._beating = asyncio.get_running_loop().create_task(self._beat(self._can))
             self._hearers[node] = hearer
 
     async def detach(self, node: int, hearer: Hearer) -> None:
@@ -88,8 +98,9 @@ class Bus:
             can = self._can
             if not self._hearers and can is not None:
                 self._can = None
-                if self._reading is not None:
-                    self._reading.cancel()
+                for task in (self._reading, self._beating):
+                    if task is not None:
+                        task.cancel()
                 await can.close()
 
     @property
@@ -110,6 +121,14 @@ class Bus:
         if self.off:
             self._owed[node] = tuple(frames)
         return self.can.send(*frames)
+
+    async def _beat(self, can: CanLink) -> None:
+        """The heartbeat of this computer, often enough for the least patient drive to miss some."""
+        every_ns = min(self.watchdogs_ms.values()) * NS_PER_MS // _BEATS
+        with suppress(LinkClosed):
+            while True:
+                can.send(CanFrame(HEARTBEAT + self.host_node, bytes([OPERATIONAL])))
+                await sleep_ns(self.clock, every_ns)
 
     # Hearing
 

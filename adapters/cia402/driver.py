@@ -23,7 +23,7 @@ from adapters.cia402.hand import Hand
 from adapters.cia402.lowering import BusTimes, CiaLowered, lower
 from adapters.cia402.moves import Mover
 from adapters.cia402.node import Node
-from adapters.cia402.objects import CYCLIC_MODE, FOLLOWED, Obj, point_bit
+from adapters.cia402.objects import CONSUMER, CYCLIC_MODE, FOLLOWED, Obj, point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.pdo import pdos
 from adapters.cia402.power import Power
@@ -77,6 +77,9 @@ class CiaDriver(Driver):
         self._streams = streams(setup.config)
         if self._streams:
             self._bus.periods_ms[self._number] = options.period_ms
+        if options.watchdog_ms is not None:
+            self._bus.watchdogs_ms[self._number] = options.watchdog_ms
+            self._bus.host_node = options.host_node
         self._following: int | None = CYCLIC_MODE
         """How the drive follows positions, as soon as it is known."""
         self._node: Node | None = None
@@ -96,6 +99,12 @@ class CiaDriver(Driver):
                 "config-mismatch",
                 f"{link.place}: the drives of one bus do not agree on link.bitrate",
                 "give all of them the same",
+            )
+        if self._bus.host_node in self._bus.units:
+            raise DriverFault(
+                "config-mismatch",
+                f"{link.place}: a drive has the node number {self._bus.host_node} of this computer's heartbeat",
+                "give this computer another one with `options.host_node`",
             )
         if len(set(self._bus.periods_ms.values())) > 1:
             raise DriverFault(
@@ -351,6 +360,8 @@ class CiaDriver(Driver):
             if self._mover is not None:
                 with suppress(DriverFault, LinkClosed):
                     await self._mover.abandon()
+                    if self._options.watchdog_ms is not None and found.mapped:
+                        await found.sdo.write(CONSUMER, 0)
                 self._mover.forget()
             if self._power is not None:
                 self._power.forget()

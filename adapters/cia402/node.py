@@ -31,7 +31,6 @@ from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
 
 _BOOT_UP = 0x00
-OPERATIONAL = 0x05
 
 
 class Answer(NamedTuple):

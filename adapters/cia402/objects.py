@@ -35,6 +35,7 @@ class Obj:
 
 DEVICE_TYPE = Obj(0x1000, 0, 32, "device type")
 ERROR_REGISTER = Obj(0x1001, 0, 8, "error register")
+CONSUMER = Obj(0x1016, 1, 32, "consumer heartbeat time")
 HEARTBEAT = Obj(0x1017, 0, 16, "producer heartbeat time")
 VENDOR = Obj(0x1018, 1, 32, "vendor-ID")
 PRODUCT = Obj(0x1018, 2, 32, "product code")
@@ -42,6 +43,7 @@ SERIAL = Obj(0x1018, 4, 32, "serial number")
 DEVICE_NAME = Obj(0x1008, 0, 0, "manufacturer device name")
 SOFTWARE = Obj(0x100A, 0, 0, "manufacturer software version")
 
+ABORT_CONNECTION_OPTION = Obj(0x6007, 0, 16, "abort connection option code", signed=True)
 ERROR_CODE = Obj(0x603F, 0, 16, "error code")
 CONTROLWORD = Obj(0x6040, 0, 16, "controlword")
 STATUSWORD = Obj(0x6041, 0, 16, "statusword")

@@ -45,6 +45,14 @@ class Options(BaseModel):
     period_ms: int = Field(
         default=10, ge=1, le=100, description="Period of SYNC while positions are streamed, for jerk-limited motion."
     )
+    watchdog_ms: int | None = Field(
+        default=None,
+        ge=100,
+        le=60_000,
+        description="The drive makes a quick stop when it has heard no heartbeat of this computer for so long (1016h, "
+        "6007h). None: it does not watch.",
+    )
+    host_node: int = Field(default=127, ge=1, le=127, description="The node number of this computer's heartbeat.")
     answer_ms: int = Field(default=100, ge=10, le=60_000, description="How long an SDO answer may take.")
     boot_ms: int = Field(default=1000, ge=0, le=60_000, description="How long after power-up it does not answer yet.")
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the drive's crystal.")

@@ -4,16 +4,16 @@ from fractions import Fraction
 
 from adapters.cia402 import objects as o
 from adapters.cia402 import pdo
-from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START
+from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START, OPERATIONAL
 from adapters.cia402.eds import Product
 from adapters.cia402.fleetaxes import only_axis, ramp, units
-from adapters.cia402.node import OPERATIONAL, Node
+from adapters.cia402.node import Node
 from adapters.cia402.objects import Obj
 from adapters.cia402.options import Options
 from adapters.cia402.sdo import SdoAborted
 from adapters.cia402.shape import WORD_MAX
 from adapters.cia402.starts import Starts
-from adapters.cia402.states import NEW_SET_POINT
+from adapters.cia402.states import NEW_SET_POINT, QUICK_STOP, State
 from adapters.cia402.words import NOT_THERE
 from adapters.contract import DriverFault, Identity
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -23,6 +23,7 @@ from orchestrator.model.fleet import Controller
 _DRIVE_PROFILE = 402
 _NMT = 0x000
 _SLOW_DOWN, _QUICK_STOP_AND_STAY = 1, 6
+_STOP_QUICKLY = 3  # of the abort connection option
 _TRAPEZOID = 0
 _MILLISECONDS = -3
 _BEATS = 5  # of its heartbeats, until it must have said that it is operational
@@ -83,8 +84,14 @@ async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[
         stranger = True
         await _map_pre_operational(node, wanted)
     await _start(node, options)
+    if options.watchdog_ms is not None:
+        await load(node, o.ABORT_CONNECTION_OPTION, _STOP_QUICKLY)
+        await load(node, o.CONSUMER, options.host_node << 16 | options.watchdog_ms)
     node.take_status(await node.sdo.read(o.STATUSWORD), node.clock.now_ns())
     node.control = await node.sdo.read(o.CONTROLWORD) & ~NEW_SET_POINT
+    if node.state is State.QUICK_STOP:
+        # It may have stopped by itself, and the word that enabled it would enable it again.
+        node.control = QUICK_STOP
     node.mode, node.wanted_mode = await node.sdo.read(o.MODE_DISPLAY), await node.sdo.read(o.MODE)
     # What comes by PDO comes on change, or a little later; this is from now on.
     node.demand, node.actual = await node.sdo.read(o.DEMAND), await node.sdo.read(o.ACTUAL)

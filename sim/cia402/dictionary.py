@@ -75,7 +75,7 @@ def _entry(variable: ODVariable) -> Entry:
 
 
 class Dictionary:
-    """The objects of one drive. without: indices that this one does not have.
+    """The objects of one drive. without: indices that clients do not find; its firmware has their defaults.
 
     reads: where values come from that are not stored. writes: called with a value before it is stored; raises `Abort`
     for one that can not be taken.
@@ -85,19 +85,18 @@ class Dictionary:
         self.entries = {key: entry for key, entry in _entries(node).items() if key[0] not in without}
         self.reads: dict[Key, Callable[[], int]] = {}
         self.writes: dict[Key, Callable[[int], None]] = {}
+        self._defaults = {key: each.default for key, each in _entries(node).items() if isinstance(each.default, int)}
         self._indices = {index for index, _ in self.entries}
         self._values: dict[Key, int] = {}
         self.reset({})
 
     def reset(self, kept: Mapping[Key, int]) -> None:
         """Values as after power-up: the defaults, but for those that are `kept` in the permanent memory."""
-        defaults = {key: entry.default for key, entry in self.entries.items()}
-        self._values = {key: value for key, value in defaults.items() if isinstance(value, int)}
-        self._values.update(kept)
+        self._values = {**self._defaults, **kept}
 
     def writable(self) -> dict[Key, int]:
         """The values that a client can have changed: what a permanent memory keeps."""
-        return {key: value for key, value in self._values.items() if self.entries[key].writable}
+        return {key: value for key, value in self._values.items() if key in self.entries and self.entries[key].writable}
 
     def get(self, index: int, sub: int = 0) -> int:
         read = self.reads.get((index, sub))

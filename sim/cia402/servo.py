@@ -198,7 +198,8 @@ class Servo:
 
     def _astray(self) -> None:
         def due() -> None:
-            if self._stuck_at is not None and abs(self.demand - self.actual) >= self._dictionary.get(0x6065):
+            # In whole units, as 0x60F4 says it: at the edge of the window they are as many as it is wide.
+            if self._stuck_at is not None and round(abs(self.demand - self.actual)) >= self._dictionary.get(0x6065):
                 self._strayed()
 
         self.time.call_after(self._dictionary.get(0x6066) * NS_PER_MS, due)

@@ -487,3 +487,19 @@ def test_a_mode_that_the_drive_does_not_have_is_refused_and_not_in_its_list() ->
     with pytest.raises(Aborted, match="0x06090030"):
         bench.write(0x6060, 0, 8, 1)
     bench.write(0x6060, 0, 7, 1)
+
+
+@pytest.mark.parametrize("patience_ms", [0, 10])
+@pytest.mark.parametrize("way", [50_000, -50_000])
+def test_a_stalled_motor_is_a_following_error_at_once_or_after_its_time(way: int, patience_ms: int) -> None:
+    bench = CanBench(options={"objects": {"6065": 500, "6066": patience_ms}})
+    bench.enable(1)
+    bench.write(0x6081, 0, 20_000, 4)
+    move(bench, way, wait_ms=400)
+    bench.drive.set_stalled("1", True)
+    # 500 units at 20,000/s
+    bench.wait(24)
+    assert bench.status() & 0x4F != 0x08
+    bench.wait(patience_ms + 10)
+    assert bench.status() & 0x4F in (0x08, 0x0F)
+    assert bench.read(0x603F) == 0x8611
