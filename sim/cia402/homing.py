@@ -1,5 +1,5 @@
-"""The homing mode: methods 17-30 by switches, 1 and 2 by limit switch and index pulse, 33 and 34 by the index pulse
-alone, 35 and 37 where it stands (CiA 402-2)."""
+"""The homing mode: methods 17-30 by switches, 1-14 by the same ones and the index pulse behind them, 33 and 34 by the
+index pulse alone, 35 and 37 where it stands (CiA 402-2; 15, 16, 31, 32 and 36 are reserved there)."""
 
 import math
 from collections.abc import Generator
@@ -36,7 +36,8 @@ _BY_LIMIT = {17: -1, 18: 1}
 _BY_LIMIT_AND_INDEX = {1: -1, 2: 1}
 _BY_INDEX = {33: -1, 34: 1}
 _HERE = (35, 37)
-METHODS = (*_BY_LIMIT_AND_INDEX, *_BY_LIMIT, *_BY_SWITCH, *_BY_INDEX, *_HERE)
+_BY_SWITCH_AND_INDEX = {method - 16: way for method, way in _BY_SWITCH.items()}
+METHODS = (*_BY_LIMIT_AND_INDEX, *_BY_SWITCH_AND_INDEX, *_BY_LIMIT, *_BY_SWITCH, *_BY_INDEX, *_HERE)
 
 _FAST, _SLOW = 1, 2
 """Sub-indices of 0x6099."""
@@ -178,6 +179,8 @@ class HomingMode(Mode):
             return self._by_limit_and_index(_BY_LIMIT_AND_INDEX[method])
         if method in _BY_INDEX:
             return self._by_index(_BY_INDEX[method])
+        if method in _BY_SWITCH_AND_INDEX:
+            return self._by_switch(*_BY_SWITCH_AND_INDEX[method], index=True)
         return self._by_switch(*_BY_SWITCH[method])
 
     def _here(self) -> Script:
@@ -193,10 +196,13 @@ class HomingMode(Mode):
         return (yield _Leg(-sign, _SLOW, places, release=sign))
 
     def _by_index(self, sign: int) -> Script:
+        return (yield _Leg(sign, _SLOW, (self._index_beyond(self.servo.mechanical, sign),)))
+
+    def _index_beyond(self, place: float, sign: int) -> float:
+        """The next index pulse from there."""
         every = self._options.index_every
-        turns = self.servo.mechanical / every
-        place = (math.floor(turns) + 1 if sign > 0 else math.ceil(turns) - 1) * every
-        return (yield _Leg(sign, _SLOW, (place,)))
+        turns = place / every
+        return (math.floor(turns) + 1 if sign > 0 else math.ceil(turns) - 1) * every
 
     def _by_limit_and_index(self, sign: int) -> Script:
         """Out of the limit switch, and on to the next index pulse."""
@@ -204,8 +210,9 @@ class HomingMode(Mode):
             return None
         return (yield from self._by_index(-sign))
 
-    def _by_switch(self, way: int, end: int, last: int) -> Script:
-        """To the home switch, back at a limit switch, and slowly over the end that is meant."""
+    def _by_switch(self, way: int, end: int, last: int, index: bool = False) -> Script:
+        """To the home switch, back at a limit switch, and slowly over the end that is meant; or on to the index pulse
+        behind that."""
         terminals, edges = self.servo.terminals, tuple(self.servo.terminals.edges())
         if not terminals.home(self.servo.mechanical):
             passed = yield _Leg(way, _FAST, edges)
@@ -217,7 +224,7 @@ class HomingMode(Mode):
             return None
         if last * (edge - self.servo.mechanical) <= 0 and (yield _Leg(-last, _FAST, (edge,))) is None:
             return None
-        return (yield _Leg(last, _SLOW, (edge,)))
+        return (yield _Leg(last, _SLOW, (self._index_beyond(edge, last) if index else edge,)))
 
     @property
     def bits(self) -> int:

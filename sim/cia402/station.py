@@ -1,6 +1,7 @@
 """The node on the bus: NMT, boot-up, heartbeat, node guarding, SYNC, EMCY, TIME, permanent memory (CiA 301)."""
 
 import random
+from collections import deque
 from collections.abc import Callable
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, Timer
@@ -61,6 +62,7 @@ class Station:
         self.drive = Drive(self.dictionary, time, options, phase_ns, self.emergency, self.changed)
         self._sdo = SdoServer(self.dictionary, self._answer, self._watch_transfer)
         self._timers: dict[str, Timer] = {}
+        self._emergencies: deque[bytes] = deque()
         self._starts = 0
         self._real_time_ns = 0
         self._sdo_free_ns = 0
@@ -89,6 +91,7 @@ class Station:
         for timer in self._timers.values():
             timer.cancel()
         self._timers.clear()
+        self._emergencies.clear()
 
     def _boot(self) -> None:
         self._end(BOOTING)
@@ -245,9 +248,22 @@ class Station:
             for sub, error in enumerate([code, *errors], 1):
                 dictionary.put(0x1003, sub, error)
             dictionary.put(0x1003, 0, min(_HISTORY, dictionary.get(0x1003, 0) + 1))
-        word = dictionary.get(0x1014)
-        if self.state in (PRE_OPERATIONAL, OPERATIONAL) and not word & _NOBODY:
-            self.can.send(CanFrame(word & _ID, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0])))
+        if self.state in (PRE_OPERATIONAL, OPERATIONAL) and not dictionary.get(0x1014) & _NOBODY:
+            self._emergencies.append(code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))
+            if "emergency" not in self._timers:
+                self._tell_emergency()
+
+    def _tell_emergency(self) -> None:
+        """One at a time, each after the inhibit time of the one before (0x1015, in 100 µs)."""
+        self._drop("emergency")
+        if not self._emergencies:
+            return
+        self.can.send(CanFrame(self.dictionary.get(0x1014) & _ID, self._emergencies.popleft()))
+        inhibit_ns = self.dictionary.get(0x1015) * 100 * NS_PER_US
+        if inhibit_ns:
+            self._later("emergency", inhibit_ns, self._tell_emergency)
+        elif self._emergencies:
+            self._tell_emergency()
 
     # Being watched, and watching
 

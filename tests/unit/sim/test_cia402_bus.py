@@ -356,3 +356,25 @@ def test_a_wrong_option_is_named() -> None:
         CanBench(options={"objects": {"6999": 1}})
     with pytest.raises(ValueError, match="cycle_us"):
         CanBench(options={"cycle_us": 0})
+
+
+def test_emergencies_keep_their_inhibit_time() -> None:
+    bench = CanBench()
+    bench.write(0x1015, 0, 50, 2)
+    began_ns = bench.clock.now_ns()
+    for code in (0x4310, 0x3210, 0x2310):
+        bench.drive.station.emergency(code, 1)
+    bench.wait(20)
+    told = [(at_ns, frame.data[:2]) for at_ns, frame in bench.frames if frame.id == 0x81 and at_ns >= began_ns]
+    assert [data for _, data in told] == [b"\x10\x43", b"\x10\x32", b"\x10\x23"]
+    assert [round((after - before) / MS) for (before, _), (after, _) in pairwise(told)] == [5, 5]
+
+
+def test_positions_are_not_buffered_and_no_client_can_have_it_otherwise() -> None:
+    bench = CanBench()
+    assert [bench.read(0x60C4, sub) for sub in (1, 2, 3, 4)] == [1, 1, 0, 0]
+    bench.write(0x60C4, 6, 1, 1)
+    with pytest.raises(Aborted, match="0x06090031"):
+        bench.write(0x60C4, 2, 2, 4)
+    with pytest.raises(Aborted, match="0x06010001"):
+        bench.read(0x60C4, 6)

@@ -249,6 +249,18 @@ _LEFT: Mapping[str, object] = {"travel": (-5_000.0, 5_000.0), "home_switch": (No
     [
         (1, _CAM, -4_800, 1),
         (2, _CAM, 4_800, -1),
+        (3, _RIGHT, 800, -1),
+        (4, _RIGHT, 1_200, 1),
+        (5, _LEFT, 2_400, 1),
+        (6, _LEFT, 1_600, -1),
+        (7, _CAM, 800, -1),
+        (8, _CAM, 1_200, 1),
+        (9, _CAM, 1_600, -1),
+        (10, _CAM, 2_400, 1),
+        (11, _CAM, 2_400, 1),
+        (12, _CAM, 1_600, -1),
+        (13, _CAM, 1_200, 1),
+        (14, _CAM, 800, -1),
         (17, _CAM, -5_000, 1),
         (18, _CAM, 5_000, -1),
         (19, _RIGHT, 1_000, -1),
@@ -328,10 +340,11 @@ def test_a_homing_goes_on_after_halt() -> None:
     assert bench.status() & 0x3400 == 0x1400
 
 
-def test_a_method_that_is_not_there_is_refused() -> None:
+@pytest.mark.parametrize("method", [0, 15, 16, 31, 32, 36, 38])
+def test_a_method_that_is_reserved_is_refused(method: int) -> None:
     bench = CanBench()
     with pytest.raises(Aborted, match="0x06090030"):
-        bench.write(0x6098, 0, 31, 1)
+        bench.write(0x6098, 0, method, 1)
 
 
 # Interpolated modes
