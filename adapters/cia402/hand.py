@@ -40,14 +40,14 @@ class Hand:
         self._power = power
         self._step = step
         self.homing = False
-        self._jog_stops = -1
+        self._jog_stops = self._jog_drops = -1
         self._jog_ns = 0
 
     @property
     def jogging(self) -> bool:
-        """A jog is under way: it was not stopped, and is not at its end."""
+        """A jog is under way: it was not stopped, the drive has been enabled all the while, and is not at its end."""
         node = self._node
-        if self._jog_stops != node.stops or not node.enabled:
+        if (self._jog_stops, self._jog_drops) != (node.stops, node.drops) or not node.enabled:
             return False
         late = node.clock.now_ns() > self._jog_ns + _SEEN_NS
         return not (late and bool(node.status & states.TARGET_REACHED))
@@ -208,7 +208,7 @@ class Hand:
             raise CannotDo("stopped", f"a stop came before axis {self._name} was set going", "")
         since_ns = node.clock.now_ns()
         node.order(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
-        self._jog_stops, self._jog_ns = node.stops, since_ns
+        self._jog_stops, self._jog_drops, self._jog_ns = node.stops, node.drops, since_ns
         taken = await node.soon(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)
         if node.stops != stops:
             raise CannotDo("stopped", f"a stop came while axis {self._name} was being set going", "")

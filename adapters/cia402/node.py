@@ -63,6 +63,8 @@ class Node:
         self.loaded = False
         """A controlword waits in it for a SYNC."""
         self.stops = 0
+        self.drops = 0
+        """How often it has left operation enabled, by its own word."""
         self.boots = 0
         self.left_bus = 0
         """How often this computer has left the bus."""
@@ -116,7 +118,9 @@ class Node:
         """A statusword, from wherever it comes."""
         if status & states.ACKNOWLEDGED and not self.status & states.ACKNOWLEDGED:
             self.acknowledged_ns = at_ns
+        enabled = self.enabled
         self.status = status
+        self.drops += enabled and not self.enabled
 
     def _emergency(self, code: int) -> None:
         if code == 0:

@@ -1,6 +1,6 @@
 """What the numbers of CANopen mean: SDO abort codes (CiA 301), emergency error codes (CiA 301 and CiA 402)."""
 
-_ABORTS = {
+ABORTS = {
     0x0503_0000: "toggle bit not alternated",
     0x0504_0000: "SDO protocol timed out",
     0x0504_0001: "command specifier not valid or unknown",
@@ -100,7 +100,7 @@ _CLASSES = {
 
 def abort_text(code: int) -> str:
     """An SDO abort code in words."""
-    return f"{_ABORTS.get(code, 'an abort code that CiA 301 does not list')} ({code:08X}h)"
+    return f"{ABORTS.get(code, 'an abort code that CiA 301 does not list')} ({code:08X}h)"
 
 
 def emergency_text(code: int) -> str:

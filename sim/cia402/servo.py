@@ -153,11 +153,13 @@ class Servo:
 
     def let_go(self) -> None:
         """The power stage is off: the motor stands still, and the demand is where it stands."""
+        if self.busy:
+            self._rested_ns = self.time.now_ns()
+            self.time.call_after(self._settle_ns(), self._changed)
         self.forget()
         self.mover.interpolate(False)
         self.mover.halt_dead()
         self.mover.put(self.mechanical)
-        self._rested_ns = self.time.now_ns()
 
     def _rested(self) -> None:
         self._rested_ns = self.time.now_ns()
