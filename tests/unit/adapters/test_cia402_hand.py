@@ -55,7 +55,7 @@ def test_a_method_that_the_drive_does_not_have_is_refused() -> None:
         assert caught.value.refusal.code == "homing-method"
         assert "invalid value" in caught.value.refusal.text
 
-    run(main, homing={"method": "5"})
+    run(main, homing={"method": "15"})
 
 
 @pytest.mark.parametrize("cancelled", [False, True])
