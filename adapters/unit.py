@@ -198,7 +198,9 @@ class Unit:
         while True:
             wait_ns = self._presenter.published_ns + beat_ns - self._clock.now_ns()
             if wait_ns <= 0:
-                if self._presenter.mode() != "moving":
+                ticket = self._member.ticket
+                waits = ticket is not None and self._clock.now_ns() < ticket.t0_host_ns
+                if waits or self._presenter.mode() != "moving":
                     self._presenter.publish()
                 wait_ns = beat_ns
             await sleep_ns(self._clock, wait_ns)
@@ -268,13 +270,16 @@ class Unit:
         return None
 
     def _offline(self, fault: Fault) -> None:
-        condition = self._condition
-        was_online = condition.reading is not None
-        condition.reading = None
+        condition, member = self._condition, self._member
+        before, condition.reading = condition.reading, None
+        was_online = before is not None
         condition.faults = [fault]
-        self._stop_owed = (
-            self._stop_owed or self._member.ticket is not None or bool(condition.jogging | condition.homing)
+        # Told to stop is not stopped: what it was told may have been lost with the link.
+        unseen = before is not None and (
+            before.at_ns < condition.stopped_ns or any(axis.moving for axis in before.axes.values())
         )
+        loaded = member.ticket is not None or member.following
+        self._stop_owed = self._stop_owed or unseen or loaded or bool(condition.jogging | condition.homing)
         condition.homing.clear()
         self._jogging.ended_all("the link is lost")
         self._member.lost(f"the link is lost: {fault.text}")

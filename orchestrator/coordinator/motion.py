@@ -248,7 +248,10 @@ class Motion:
         """After the decision: a member that can not go makes all others stop before, or just after, they begin."""
         requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals}
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
-        released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, left_s)))
+        # Whoever has not answered by then is given up while the others can still be unloaded.
+        disarm_s = max(p.costs.disarm_ns for p in moving.proposals.values() if p.costs) / NS_PER_S
+        wait_s = max(left_s / 2, left_s - disarm_s)
+        released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, wait_s)))
         await self._disarm_if_refused(moving, released)
 
     async def _disarm_if_refused(self, moving: Moving, replies: Mapping[str, Reply]) -> None:
