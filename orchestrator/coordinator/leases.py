@@ -185,6 +185,14 @@ class LeaseBook:
                 info = await self._view.info(controller)
             except BusError as error:
                 raise Refuse("absent", f"{controller}: {error}", "is its adapter host running?", controller) from None
+            digest = self._view.fleet.controllers[controller].digest
+            if info.digest != digest:
+                raise Refuse(
+                    "other-configuration",
+                    f"{controller}: the coordinator believes in configuration {digest}, the adapter has {info.digest}",
+                    "use one fleet file on all hosts and restart",
+                    controller,
+                )
             all_names = self._view.fleet.controllers[controller].axes
             whole += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
         return tuple(whole)

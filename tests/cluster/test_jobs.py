@@ -191,6 +191,7 @@ def test_an_absent_controller_is_said_with_its_remedy() -> None:
 
 def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> None:
     async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
         fleet.start_coordinator("second")
         await asyncio.sleep(2.0)
         assert any(
@@ -201,9 +202,11 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
         fleet.fleet = other.model_copy(update={"controllers": other.controllers | {"gantry": gantry}})
         fleet.start_coordinator("third", take_over=True)
         await asyncio.sleep(3.0)
-        report = await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 1}}]"))
-        assert report.steps[-1].refused is not None
-        assert report.steps[-1].refused.code == "other-configuration"
+        report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
+        assert report.state == "failed" and "gantry: the coordinator believes in configuration" in report.reason
+        with pytest.raises(Refused) as caught:
+            await fleet.client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
+        assert caught.value.refusal.code == "other-configuration"
 
     run_fleet(main)
 
