@@ -71,6 +71,7 @@ class CiaDriver(Driver):
         self._bus: Bus = setup.shared.setdefault(SHARED, Bus(setup.clock, link.bitrate))
         self._bus.join(self._number, options.start_us * NS_PER_US)
         self._starts: Starts = setup.shared.setdefault(_STARTS, Starts(self._bus))
+        self._starts.lost(self._number)
         self._ramp, self._ramp_s = ramp(axis, units(options)), ramp_s(axis)
         self._settle_ns = round(axis.in_position_timeout_s * NS_PER_S)
         self._pdos = pdos(options, outputs=bool(setup.config.outputs))
@@ -357,6 +358,7 @@ class CiaDriver(Driver):
     async def close(self) -> None:
         found, self._node = self._node, None
         if found is not None:
+            self._starts.lost(self._number)
             if self._mover is not None:
                 with suppress(DriverFault, LinkClosed):
                     await self._mover.abandon()

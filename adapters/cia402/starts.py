@@ -44,6 +44,16 @@ class Starts:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._shots: list[Shot] = []
+        self._unknown: set[int] = set()
+
+    def lost(self, node: int) -> None:
+        """Nobody knows what waits in a drive: it was not met yet, or its link was lost."""
+        self._unknown.add(node)
+
+    def met(self, node: int) -> bool:
+        """What waits in a drive was overwritten. Have it taken now; not if that could start one that was not met."""
+        self._unknown.discard(node)
+        return not self._unknown and self.flush()
 
     def reserve(self, node: int, t0_ns: int, until_ns: int) -> Shot:
         """A drive is armed for `t0_ns`, and needs SYNC until `until_ns`.

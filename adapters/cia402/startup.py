@@ -102,8 +102,12 @@ async def take_over(node: Node, starts: Starts, options: Options, wanted: tuple[
     if node.followed is not None:
         await load(node, o.PERIOD, options.period_ms)
         await load(node, o.PERIOD_INDEX, _MILLISECONDS)
+        # A position may wait for a SYNC, of a stream that nobody leads any more.
+        node.bus.send(node.position(node.demand))
+    if node.mode in o.FOLLOWED:
+        node.order(node.control, o.PROFILE_POSITION_MODE)
     node.bus.send(node.at_sync(node.control))
-    starts.flush()
+    node.loaded = not starts.met(node.number)
     return stranger
 
 
