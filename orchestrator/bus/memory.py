@@ -80,6 +80,7 @@ class MemoryNet:
         self._sides: dict[str, int] = {}
         self._lost_sides: dict[str, int] = {}
         self._cuts = 0
+        self._lossy: dict[str, float] = {}
         self.presence = PresenceBoard(self)
         self.requests = Requests(self)
 
@@ -122,6 +123,10 @@ class MemoryNet:
                 self.presence.refresh()
 
         self.at(self.clock.now_ns() + self._reconnect_ns, find)
+
+    def lose(self, name: str, share: float) -> None:
+        """Drop this share (0 to 1) of what may be dropped of a process's samples."""
+        self._lossy[name] = share
 
     def kill(self, name: str) -> None:
         """The process is dead: nothing goes out or in any more. Others know within milliseconds.
@@ -231,9 +236,10 @@ class MemoryNet:
 
     def send(self, sender: "MemoryBus", sample: Sample, priority: Priority) -> None:
         """Send a sample to everybody who subscribed."""
+        share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
         for receiver, subscriptions in self._route(sample.key):
-            if self.cut(sender, receiver):
+            if self.cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
             at_ns = max(self.arrival_ns(priority), receiver.last_arrivals_ns.get(lane, 0))
             receiver.last_arrivals_ns[lane] = at_ns

@@ -1,62 +1,87 @@
-"""`tutti sim campaign`: fleets of all makes broken at every stage, in virtual time."""
+"""`tutti sim campaign`: fleets of all makes at work, broken at every stage of a step, in virtual time."""
 
 import statistics
 import time
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, json_option, print_json
 
+if TYPE_CHECKING:
+    from orchestrator.lab.campaign import Story
+    from orchestrator.lab.campaign_runs import Campaign
+
 
 @click.command(epilog="Example: tutti sim campaign --seeds 500 --json")
 @click.option("--seeds", default=100, show_default=True, type=click.IntRange(1), help="How many.")
 @click.option("--from", "first", default=0, show_default=True, type=click.IntRange(0), help="The first one.")
-@click.option("--seed", type=click.IntRange(0), help="Only this one.")
-@click.option("--trace", is_flag=True, help="With --seed: everything that was logged.")
+@click.option("--seed", type=click.IntRange(0), help="Only this one, and its story.")
+@click.option("--trace", is_flag=True, help="With --seed: everything that was logged, too.")
 @json_option
 def campaign(seeds: int, first: int, seed: int | None, trace: bool, as_json: bool) -> None:
-    """Break simulated fleets of random makes, each at a stage of a synchronised step, and hold what really moved to the
-    invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an invariant.
+    """Let simulated fleets of random makes work, break something at two stages of their steps, mend it, and hold what
+    really moved to the invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an
+    invariant.
     """
-    from orchestrator.lab.campaign import Story
-    from orchestrator.lab.campaign_runs import play, run_campaign
+    from orchestrator.lab.campaign import play
+    from orchestrator.lab.campaign_runs import cells_of, run_campaign
 
     if seed is not None:
-        story, fleet = play(seed)
-        names = ", ".join(f"{name} ({config.adapter})" for name, config in fleet.controllers.items())
-        console.print(f"fleet: {names}", highlight=False, markup=False, soft_wrap=True)
-        console.print("\n".join(story.lines) if trace else story.tell(), highlight=False, markup=False, soft_wrap=True)
+        story = play(seed, cells_of(seed))
+        _print("\n".join([*(story.lines if trace else []), story.tell()]))
         raise SystemExit(FAILED if story.violations else 0)
 
-    def told(story: Story) -> None:
+    def told(story: "Story") -> None:
         if story.violations and not as_json:
-            console.print(story.tell(), highlight=False, markup=False, soft_wrap=True)
+            _print(story.tell())
             console.print(f"[bold]again:[/] tutti sim campaign --seed {story.seed} --trace")
 
     began_s = time.process_time()
     found = run_campaign(range(first, first + seeds), told)
-    cpu_s = time.process_time() - began_s
-    makes = sorted({make for _, _, make in found.cells})
-    cells = {f"{stage} {fault} {make}": count for (stage, fault, make), count in sorted(found.cells.items())}
-    figures = {
-        "seeds": found.seeds,
-        "violations": len(found.violations),
-        "seeds_per_s": round(found.seeds / cpu_s, 2),
-        "fleet_s": round(found.fleet_s),
-        "controller_s_per_cpu_s": round(found.controller_s / cpu_s, 1),
-        "controllers_median": statistics.median(found.controllers),
-    }
+    figures = _figures(found, time.process_time() - began_s)
     if as_json:
-        print_json({**figures, "violating": found.violations, "coverage": cells, "from": first})
+        coverage = {f"{cell.stage} {cell.fault} {cell.make}": count for cell, count in sorted(found.cells.items())}
+        print_json({**figures, "from": first, "violating": found.violations, "coverage": coverage})
     else:
-        from orchestrator.lab.campaign import FAULTS, STAGES
-        from orchestrator.monitor.tables import plain_table
-
-        table = plain_table(["fault", *(f"{stage}>" for stage in STAGES)])
-        for fault in FAULTS:
-            table.add_row(fault, *(str(sum(found.cells[stage, fault, make] for make in makes)) for stage in STAGES))
-        console.print(table)
+        _print_coverage(found)
         console.print(", ".join(f"{name} {value}" for name, value in figures.items()), soft_wrap=True)
     if found.violations:
         raise SystemExit(FAILED)
+
+
+def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
+    """controller_s_per_cpu_s: seconds of fleet time, times controllers, that a second of one core plays."""
+    return {
+        "seeds": found.seeds,
+        "violations": len(found.violations),
+        "seeds_per_s": round(found.seeds / cpu_s, 2),
+        "controller_s_per_cpu_s": round(found.controller_s / cpu_s, 1),
+        "controllers_median": statistics.median(found.controllers),
+        "jobs_median": statistics.median(found.jobs),
+        "faults_median": statistics.median(found.faults),
+        "fleet_s_median": round(statistics.median(found.fleet_s), 1),
+        "cells": len(found.cells),
+        "cells_missed": len(found.missed),
+        "least_in_a_cell": found.least,
+    }
+
+
+def _print_coverage(found: "Campaign") -> None:
+    """For each fault, and each make that it befell, how often at which stage."""
+    from orchestrator.lab.campaign_faults import FAULTS
+    from orchestrator.lab.campaign_fleets import MAKES
+    from orchestrator.lab.campaign_runs import Cell
+    from orchestrator.lab.campaign_witness import STAGES
+    from orchestrator.monitor.tables import plain_table
+
+    table = plain_table(["fault", "make", *(f"{stage}>" for stage in STAGES)])
+    for fault in FAULTS:
+        for make in MAKES:
+            table.add_row(fault, make, *(str(found.cells[Cell(stage, fault, make)]) for stage in STAGES))
+    console.print(table)
+
+
+def _print(text: str) -> None:
+    console.print(text, highlight=False, markup=False, soft_wrap=True)

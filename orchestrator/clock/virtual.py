@@ -247,10 +247,11 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
 
 class VirtualClock:
-    """The `Clock` of a virtual loop."""
+    """The `Clock` of a virtual loop. wall_step_ns: by how much somebody has set the wall clock since the start."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self.loop = loop
+        self.wall_step_ns = 0
 
     @property
     def kernel_id(self) -> str:
@@ -260,7 +261,7 @@ class VirtualClock:
         return self.loop.now_ns
 
     def utc(self) -> str:
-        return virtual_utc(self.loop.now_ns)
+        return virtual_utc(self.loop.now_ns + self.wall_step_ns)
 
     def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> _Handle:
         return self.loop.call_at_ns(at_ns, callback)

@@ -1,292 +1,389 @@
-"""One seeded run of a simulated fleet with a fault at a chosen stage, judged by the simulators' own truth.
+"""One seed of the fault campaign: a fleet at work, broken twice, mended, and judged by the simulators' own truth.
 
-A run homes the fleet, starts one synchronised move, breaks something at a random instant of one stage, lets the
-dust settle, and then holds what really moved against the invariants of the design (section 7).
+A seed prepares a fleet and then plays acts. In each, jobs are submitted that stand beside and behind each other, now
+and then somebody jogs an axis by hand, and one thing breaks at a stage of a step. A person mends it, and what is left
+of the jobs comes to its end. What really moved is held against the invariants of the design (section 7).
 """
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from contextvars import Context
 from dataclasses import dataclass, field
 from random import Random
-from typing import Literal
+from typing import NamedTuple
 
-from orchestrator.bus.base import Priority, Sample
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.bus.base import Sample
+from orchestrator.client.api import Refused, Tutti
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.lab.campaign_faults import FAULTS, Breaker
+from orchestrator.lab.campaign_fleets import fleet_of
+from orchestrator.lab.campaign_jobs import PACE, orders_of, preparation, trial
+from orchestrator.lab.campaign_judge import Act, Jog, Judge
+from orchestrator.lab.campaign_witness import STAGES, Asked, Stage, Witness
 from orchestrator.lab.virtual import VirtualFleet
-from orchestrator.model.fleet import Fleet, by_line
-from orchestrator.model.job import Job
-from orchestrator.model.messages import Estop
-from orchestrator.model.report import ENDED, JobReport, Progress, StepReport
-from orchestrator.model.state import Interval
-from sim.core.controller import Motion
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import ENDED
+from orchestrator.model.state import ControllerState
 
-Stage = Literal["propose", "arm", "commit", "go", "fire", "motion"]
-STAGES: tuple[Stage, ...] = ("propose", "arm", "commit", "go", "fire", "motion")
+SETTLE_NS = 2 * NS_PER_S  # from what breaks to who mends it: everybody has noticed by then
+REACH_NS = 20 * NS_PER_S  # for the stage to come
+TRY_S = 10.0  # for a job that is to be refused
+READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
+END_NS = 40 * NS_PER_S  # for the rest of the jobs to end
+LOOK_NS = 200 * NS_PER_MS
+HANDS = 0.3  # chance of somebody who jogs meanwhile
 
-# When, after the job's state has changed, a stage lies: (state, earliest, latest) in ns.
-_STAGE_AT: dict[Stage, tuple[str, int, int]] = {
-    "propose": ("planning", 0, 12 * NS_PER_MS),
-    "arm": ("arming", 0, 60 * NS_PER_MS),
-    "commit": ("armed", 0, 12 * NS_PER_MS),
-    "go": ("committed", 0, 8 * NS_PER_MS),
-    "fire": ("running", 0, 400 * NS_PER_MS),
-    "motion": ("running", 400 * NS_PER_MS, 2500 * NS_PER_MS),
+# When, after its first request to the member, a stage is to be broken: earliest and latest.
+_WITHIN: dict[str, tuple[int, int]] = {
+    "propose": (0, 500 * NS_PER_US),
+    "commit": (0, NS_PER_MS),
+    "go": (0, 500 * NS_PER_US),
 }
+_FIRE_NS = 60 * NS_PER_MS  # about T0
+_MOTION_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
-FAULTS = (
-    "none",
-    "host-killed",
-    "host-hung",
-    "link-cut",
-    "link-closed",
-    "garbage",
-    "silence",
-    "power-off",
-    "limit",
-    "stop",
-    "estop",
-    "coordinator-killed",
-    "coordinator-hung",
-    "bus-cut",
-)
 
-# What nobody can notice before the member is told to go, or before it moves: the others start with it and are stopped.
-LATENT = frozenset({"limit", "link-cut", "garbage", "silence"})
+class Cell(NamedTuple):
+    """What is to break: at which stage of a step, what, and the make of the member that it befalls."""
 
-# The longest that anything goes on after a fault, before its ramp: a silent adapter is noticed after 0.7 s (a hung
-# one's guardian is quicker), then the others are told.
-DETECTION_NS = 1000 * NS_PER_MS
-STAND_STILL_NS = 8 * NS_PER_S
+    stage: Stage
+    fault: str
+    make: str
 
 
 @dataclass(slots=True)
 class Story:
-    """What happened in one run, which took fleet_s of virtual time."""
+    """What happened in one seed, which took fleet_s of virtual time.
+
+    hit: what really broke, by the stage that its step had come to; befallen: the same for each make that it befell.
+    events: in short; lines: everything that was logged.
+    """
 
     seed: int
-    stage: Stage
-    fault: str
-    member: str
+    cells: tuple[Cell, ...]
+    fleet: Fleet
+    hit: list[Cell] = field(default_factory=list[Cell])
+    befallen: list[Cell] = field(default_factory=list[Cell])
+    jobs: int = 0
+    events: list[str] = field(default_factory=list[str])
     lines: list[str] = field(default_factory=list[str])
     violations: list[str] = field(default_factory=list[str])
-    state: str = ""
-    moved: bool = False
     fleet_s: float = 0.0
 
     def tell(self) -> str:
-        """The story, shortened, for a failing test."""
-        head = f"seed {self.seed}: {self.fault} of {self.member} at {self.stage}; job {self.state}; {self.violations}"
-        return "\n".join([head, *self.lines[-40:]])
+        """The story, shortened, with what it violates."""
+        controllers = ", ".join(f"{name} ({config.adapter})" for name, config in self.fleet.controllers.items())
+        return "\n".join([f"seed {self.seed}: {controllers}", *self.events, *self.violations])
 
 
-def run_seed(fleet: Fleet, prepare: Job, move: Job, seed: int, stage: Stage, fault: str) -> Story:
-    """Run one seed. `prepare` enables and homes; `move` is one step that moves."""
-    story = Story(seed, stage, fault, "")
+def play(seed: int, cells: Sequence[Cell]) -> Story:
+    """Play one seed: an act for each of `cells`. It plays the same every time."""
+    story = Story(seed, tuple(cells), fleet_of(seed, [cell.make for cell in cells]))
 
     async def main(clock: VirtualClock) -> None:
-        run = _Run(fleet, clock, story)
+        play = _Play(story, clock)
         try:
-            await run.play(prepare, move)
+            await play.run()
         finally:
-            story.lines = run.fleet.lines
+            story.lines = play.virtual.lines
+            story.violations = play.judge.violations
             story.fleet_s = clock.now_ns() / NS_PER_S
 
     run_virtual(main)
     return story
 
 
-class _Run:
+class _Play:
     """The fleet of one seed."""
 
-    def __init__(self, fleet: Fleet, clock: VirtualClock, story: Story) -> None:
-        self.draw = Random(story.seed)
-        self.clock = clock
-        self.story = story
-        self.fleet = VirtualFleet(fleet, clock, story.seed)
-        self.broken_ns: int | None = None
-        self.deaf: set[str] = set()
-        self.resting: set[str] = set()
-        self.stage_reached: asyncio.Future[None]
-        story.member = self.draw.choice(list(fleet.controllers))
+    def __init__(self, story: Story, clock: VirtualClock) -> None:
+        self._story = story
+        self._clock = clock
+        self._draw = Random(story.seed)
+        self._target: tuple[Act, Cell, asyncio.Future[tuple[str, int]]] | None = None
+        self._reached: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
+        self._epochs: dict[str, int] = {}
+        self.witness = Witness(clock, self._heard)
+        self.virtual = VirtualFleet(story.fleet, clock, story.seed, beside=self.witness.beside)
+        self.judge = Judge(self.virtual, self.witness)
+        self._breaker = Breaker(self.virtual, clock, self._draw)
 
-    async def play(self, prepare: Job, move: Job) -> None:
-        await self.fleet.start()
-        client = self.fleet.client()
-        report = await client.wait(await client.submit(prepare))
+    async def run(self) -> None:
+        """Prepare, and play one act after the other."""
+        await self.virtual.start()
+        client = self.virtual.client()
+        await self.virtual.client("watcher").bus.subscribe(self.virtual.keys.state(), self._hear_state)
+        looking = asyncio.get_running_loop().create_task(self._look())
+        axes = list(self._story.fleet.controllers)
+        if await self._prepared(client, axes, axes):
+            for number, cell in enumerate(self._story.cells):
+                await self._play(client, cell)
+                if number + 1 < len(self._story.cells) and not await self._repaired(client):
+                    break
+        looking.cancel()
+        self._judge_reigns()
+
+    def _tell(self, text: str) -> None:
+        self._story.events.append(f"{self._clock.now_ns() / NS_PER_S:8.3f} s  {text}")
+
+    async def _look(self) -> None:
+        while True:
+            self.judge.look(self._clock.now_ns())
+            await sleep_ns(self._clock, LOOK_NS)
+
+    async def _prepared(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
+        self._story.jobs += 1
+        report = await client.wait(await client.submit(preparation(axes, homing)))
         if report.state != "done":
-            self.story.violations.append(f"the preparation is {report.state}: {report.reason}")
-            return
-        homed = {name: len(each.motions) for name, each in self.fleet.controllers.items()}
-        await self._watch_for_stage()
-        job_id = await client.submit(move)
-        await self.stage_reached
-        await self._break_in_stage()
-        await self._until_ended(job_id)
-        await sleep_ns(self.clock, STAND_STILL_NS)
-        await self._see_who_rests()
-        motions = {name: each.motions[homed[name] :] for name, each in self.fleet.controllers.items()}
-        self.story.moved = any(motions.values())
-        row = self.fleet.journal.row(job_id)
-        self.story.state = row.state if row else "unknown"
-        report = self.fleet.journal.report(job_id)
-        self._judge(job_id, motions, report)
+            self.judge.violate("3", f"the preparation of {axes} is {report.state}: {report.reason}")
+        return report.state == "done"
 
-    # The fault
+    # An act
 
-    async def _watch_for_stage(self) -> None:
-        """Look out, from now on, for the job state in which the stage lies."""
-        state = _STAGE_AT[self.story.stage][0]
-        self.stage_reached = asyncio.get_running_loop().create_future()
+    async def _play(self, client: Tutti, cell: Cell) -> None:
+        fleet, fault = self._story.fleet, FAULTS[cell.fault]
+        member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
+        before = {name: len(unit.motions) for name, unit in self.virtual.controllers.items()}
+        act = Act(fault, member, self._breaker.touched(fault, member), before)
+        reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
+        self._target = act, cell, reached
+        keys: dict[str, str] = {}
+        for order in orders_of(fleet, member, self._where(), self._draw):
+            keys[order.job.name] = key = self.virtual.new_id()
+            act.jobs[await client.submit(order.job, key, order.terms)] = order
+            self._tell(f"{order.job.name} of {', '.join(order.controllers)}")
+        self._story.jobs += len(act.jobs)
+        by_hand = asyncio.get_running_loop().create_task(self._jog(act)) if self._draw.random() < HANDS else None
+        step = await self._wait_for(reached, act)
+        self._target = None
+        if step is not None:
+            await self._break(act, cell, step)
+        await self._ends(client, act)
+        if by_hand is not None:
+            await by_hand
+        await self._again_the_same(client, act, keys)
+        await self._see_who_rests(act)
+        for job_id, order in act.jobs.items():
+            row = self.virtual.journal.row(job_id)
+            self._tell(f"{order.job.name} is {row.state}: {row.reason}" if row else f"{order.job.name} is forgotten")
+        self.judge.judge(act)
 
-        def look(sample: Sample) -> None:
-            progress = Progress.model_validate_json(sample.payload)
-            if not self.stage_reached.done() and (progress.state == state or progress.state in ENDED):
-                self.stage_reached.set_result(None)
-
-        await self.fleet.client("watcher").bus.subscribe(self.fleet.keys.job_state(), look)
-
-    async def _break_in_stage(self) -> None:
-        """Draw an instant within the stage, and break what the story says."""
-        _, earliest_ns, latest_ns = _STAGE_AT[self.story.stage]
-        await sleep_ns(self.clock, self.draw.randrange(earliest_ns, latest_ns + 1))
-        self.broken_ns = self.clock.now_ns()
-        await self._break()
-
-    async def _break(self) -> None:
-        fleet, member = self.fleet, self.story.member
-        wire = fleet.wires[member]
-        host = f"host/{fleet.fleet.controllers[member].host}"
-        acts: dict[str, Callable[[], object]] = {
-            "host-killed": lambda: fleet.kill(host),
-            "host-hung": lambda: fleet.freeze(host),
-            "link-cut": lambda: setattr(wire, "cut", True),
-            "link-closed": lambda: [link.hang_up() for link in list(wire.links)],
-            "garbage": lambda: setattr(wire, "to_near", self._garble),
-            "silence": lambda: fleet.freeze(f"sim/{member}"),
-            "power-off": lambda: fleet.within(member, lambda each: each.set_power(False)),
-            "limit": lambda: fleet.within(member, lambda each: each.set_limit(each.axes[0], "both")),
-            "coordinator-killed": lambda: fleet.kill("coordinator/first"),
+    def _where(self) -> dict[str, float]:
+        """Where each axis stands, in its unit."""
+        return {
+            f"{name}.{axis}": each.to_unit(self.virtual.controllers[name].position(each.motors[0]))
+            for name, config in self._story.fleet.controllers.items()
+            for axis, each in config.axes.items()
         }
-        fault = self.story.fault
-        if fault in ("link-cut", "garbage", "silence"):
-            # One wire and one simulator may carry several controllers.
-            self.deaf |= set(self._line_of(member))
-        if fault == "power-off":
-            # A unit that is off takes those behind it off the line: nobody but they themselves can stop them.
-            line = self._line_of(member)
-            self.deaf |= set(line[line.index(member) + 1 :])
-        if fault == "none":
+
+    async def _wait_for(self, reached: "asyncio.Future[tuple[str, int]]", act: Act) -> tuple[str, int] | None:
+        """Until the step is where it is to be broken; None when all jobs end before that."""
+        until_ns = self._clock.now_ns() + REACH_NS
+        while not reached.done() and self._clock.now_ns() < until_ns and not self._ended(act):
+            with suppress(TimeoutError):
+                async with asyncio.timeout(0.5):
+                    await asyncio.shield(reached)
+        return reached.result() if reached.done() else None
+
+    async def _break(self, act: Act, cell: Cell, step: tuple[str, int]) -> None:
+        stage = self._stage_of(step, act.member)
+        if stage is None:
+            self._tell(f"too late for {cell.fault}")
             return
-        if fault in acts:
-            acts[fault]()
-        elif fault == "stop":
-            client = fleet.client("stopper")
-            await client.stop()
-            await client.close()
-        elif fault == "estop":
-            client = fleet.client("stopper")
-            client.bus.put(fleet.keys.estop, Estop(event="e1", actor="test").to_json(), Priority.ESTOP)
-        elif fault == "coordinator-hung":
-            fleet.freeze("coordinator/first")
-            await sleep_ns(self.clock, 1500 * NS_PER_MS)
-            fleet.start_coordinator("second")
-            await sleep_ns(self.clock, 2500 * NS_PER_MS)
-            fleet.resume("coordinator/first")
-        elif fault == "bus-cut":
-            fleet.net.partition({fleet.process(host).name}, {fleet.process("coordinator/first").name})
-        else:
-            raise ValueError(f"unknown fault {fault!r}; known: {', '.join(FAULTS)}")
+        now_ns = act.broken_ns = self._clock.now_ns()
+        hit = cell._replace(stage=stage)
+        together = act.jobs[step[0]].controllers if act.fault.reach == "fleet" else [act.member]
+        makes = dict.fromkeys(self._story.fleet.controllers[name].adapter for name in together)
+        self._story.hit.append(hit)
+        self._story.befallen += [hit._replace(make=make) for make in makes]
+        self._tell(f"{cell.fault} of {act.member} at {stage}")
+        await self._breaker.strike(act.fault, act.member)
+        await sleep_ns(self._clock, max(0, now_ns + SETTLE_NS - self._clock.now_ns()))
+        await self._judge_latches(cell.fault)
+        if cell.fault == "host-other-file":
+            await self._try(act)
+        act.mended_ns = self._clock.now_ns()
+        await self._breaker.mend()
+        self._tell("mended")
 
-    def _line_of(self, member: str) -> list[str]:
-        """The controllers on the line of `member`, the host's first."""
-        return next(names for names in by_line(self.fleet.fleet) if member in names)
+    async def _try(self, act: Act) -> None:
+        """Have somebody home and move a member whose host has another fleet file than the coordinator."""
+        person = self.virtual.client("ben")
+        order = trial(self._story.fleet, act.member)
+        job_id = await person.submit(order.job, terms=order.terms)
+        act.jobs[job_id] = order
+        self._tell(f"try of {act.member}")
+        with suppress(TimeoutError):
+            async with asyncio.timeout(TRY_S):
+                await person.wait(job_id)
+        await person.close()
 
-    def _garble(self, data: bytes) -> bytes:
-        return bytes(self.draw.randrange(256) for _ in data)
+    async def _ends(self, client: Tutti, act: Act) -> None:
+        """Everything comes to itself, then to its end."""
+        await self._ready(client)
+        with suppress(Refused):
+            await client.release()
+        until_ns = self._clock.now_ns() + END_NS
+        while not self._ended(act) and self._clock.now_ns() < until_ns:
+            await sleep_ns(self._clock, LOOK_NS)
+        await sleep_ns(self._clock, NS_PER_S)
 
-    async def _until_ended(self, job_id: str) -> None:
-        """Wait until the journal says that the job has ended, or nobody is left to say it."""
-        for _ in range(600):
-            row = self.fleet.journal.row(job_id)
-            if row is None or row.state in ENDED:
+    def _ended(self, act: Act) -> bool:
+        rows = [self.virtual.journal.row(job_id) for job_id in act.jobs]
+        return all(row is None or row.state in ENDED for row in rows)
+
+    async def _ready(self, client: Tutti) -> None:
+        """Until all controllers are adopted in the present reign and without a fault; what is latched is reset."""
+        fleet = self._story.fleet
+        states: dict[str, ControllerState] = {}
+        for _ in range(round(READY_S / 0.5)):
+            states = await client.status(1.0)
+            reigning = self.virtual.coordinators[self._breaker.reigning][1].throne.epoch
+            troubled = [
+                name
+                for name in fleet.controllers
+                if name not in states or states[name].faults or states[name].mode == "offline"
+            ]
+            latched = [name for name, state in states.items() if state.estop is not None]
+            strange = [name for name, state in states.items() if not reigning or state.epoch != reigning]
+            if not troubled and not latched and not strange and len(states) == len(fleet.controllers):
                 return
-            await sleep_ns(self.clock, 50 * NS_PER_MS)
+            if latched or troubled:
+                await client.reset()
+            await sleep_ns(self._clock, 500 * NS_PER_MS)
+        shown = {
+            name: (state.mode, state.epoch, [each.text for each in state.faults]) for name, state in states.items()
+        }
+        self.judge.violate("3", f"mended, and not ready after {READY_S} s: {shown}")
 
-    async def _see_who_rests(self) -> None:
+    async def _repaired(self, client: Tutti) -> bool:
+        """Enable and home what the fault has left off, or without its place."""
+        states = await client.status()
+        axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
+        off = [name for name, each in axes if not each.enabled]
+        lost = [name for name, each in axes if not each.referenced]
+        if not off and not lost:
+            return True
+        self._tell(f"homing {', '.join(lost)}" if lost else f"enabling {', '.join(off)}")
+        return await self._prepared(client, sorted({*off, *lost}), lost)
+
+    async def _see_who_rests(self, act: Act) -> None:
         """A controller that decodes a poll at this very moment is not at rest for a while: look more than once."""
         for _ in range(40):
-            self.resting |= {name for name, each in self.fleet.controllers.items() if each.at_rest()}
-            await sleep_ns(self.clock, 3 * NS_PER_MS)
+            act.resting |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
+            if len(act.resting) == len(self.virtual.controllers):
+                return
+            await sleep_ns(self._clock, 7 * NS_PER_MS)
 
-    # The judgement
+    async def _again_the_same(self, client: Tutti, act: Act, keys: dict[str, str]) -> None:
+        """Invariant 6: who asks again, because an answer was lost, gets the same job."""
+        job_id, order = next(iter(act.jobs.items()))
+        again = await client.submit(order.job, keys[order.job.name], order.terms)
+        if again != job_id:
+            self.judge.violate("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
 
-    def _judge(self, job_id: str, motions: Mapping[str, Sequence[Motion]], report: JobReport | None) -> None:
-        violate = self.story.violations.append
-        decided = bool(self.fleet.journal.decisions(job_id))
-        for name, made in motions.items():
-            if not decided and made:
-                violate(f"invariant 1/2: {name} moved, but nothing was decided")
-            if name not in self.resting | self.deaf:
-                violate(f"invariant 3: {name} is not at rest {STAND_STILL_NS / NS_PER_S} s after the end")
-            for motion in made:
-                self._judge_motion(name, motion)
-        if self.story.fault == "none" and self.story.state != "done":
-            violate(f"nothing was broken, and the job is {self.story.state}: {report.reason if report else ''}")
-        if report is not None and report.state == "done":
-            self._judge_evidence(report.steps[0], motions)
-        self._judge_epochs()
+    async def _jog(self, act: Act) -> None:
+        """Jog an axis that no job needs for a while, and forget to say that it is enough."""
+        busy = {name for order in act.jobs.values() for name in order.controllers}
+        free = [name for name in self._story.fleet.controllers if name not in busy] or [act.member]
+        name = self._draw.choice(free)
+        axis_name, axis = next(iter(self._story.fleet.controllers[name].axes.items()))
+        person = self.virtual.client("hand")
+        with suppress(Refused):
+            async with person.by_hand([f"{name}.{axis_name}"]) as hand:
+                jog = Jog(name, axis.motors[0], self._clock.now_ns(), self._clock.now_ns())
+                act.jogs.append(jog)
+                await hand.jog({f"{name}.{axis_name}": axis.limits.velocity * PACE / 2})
+                for _ in range(4):
+                    await sleep_ns(self._clock, 120 * NS_PER_MS)
+                    act.jogs[-1] = Jog(name, jog.motor, jog.from_ns, self._clock.now_ns())
+                    await hand.renew()
+                act.jogs[-1] = Jog(name, jog.motor, jog.from_ns, self._clock.now_ns())
+                await sleep_ns(self._clock, NS_PER_S)
+        await person.close()
 
-    def _judge_motion(self, name: str, motion: Motion) -> None:
-        """Invariants 3 and 5 for one motion."""
-        violate, fleet = self.story.violations.append, self.fleet.fleet
-        axis = next((a for a in fleet.controllers[name].axes.values() if a.motors[0] == motion.axis), None)
-        if axis is None:
-            violate(f"{name}: motor {motion.axis} moved, which no axis has")
+    # Stages
+
+    def _heard(self, asked: Asked) -> None:
+        """A request to a member goes out, or is answered. Runs in the coordinator's process."""
+        if asked.verb == "lease":
             return
-        broken_ns, end_ns = self.broken_ns, motion.end_ns
-        if end_ns is None and name not in self.deaf:
-            violate(f"invariant 3: {name}.{motion.axis} never ended its motion")
-        ramp_ns = round(axis.limits.velocity / axis.limits.acceleration * NS_PER_S)
-        if broken_ns is not None and end_ns is not None and name not in self.deaf:
-            since_ns = max(broken_ns, motion.start_ns) if self.story.fault in LATENT else broken_ns
-            longest_ns = since_ns + DETECTION_NS + ramp_ns
-            # Without a failure that the fleet can notice (a fault that came too late) the move may simply end.
-            if end_ns > longest_ns and self.story.state != "done":
-                violate(
-                    f"invariant 3: {name}.{motion.axis} moved {(end_ns - broken_ns) / NS_PER_S:.3f} s after the fault"
-                )
-        limits = axis.soft_limits_counts
-        if limits is not None and motion.end_counts is not None:
-            low, high = limits
-            if not low - 1 <= motion.end_counts <= high + 1:
-                violate(f"invariant 5: {name}.{motion.axis} went to {motion.end_counts}; limits {low} to {high}")
+        at = self._reached.setdefault((asked.step, asked.member), {})
+        now_ns = self._clock.now_ns()
+        at.setdefault(asked.verb, now_ns)
+        if asked.verb == "go" and asked.taken:
+            at.setdefault("fire", now_ns)
+            at.setdefault("t0", self._host_ns(asked))
+        if self._target is None:
+            return
+        act, cell, reached = self._target
+        if asked.said["job"] not in act.jobs or asked.member != act.member or reached.done():
+            return
+        at_ns = self._strikes_at(cell.stage, asked, now_ns)
+        if at_ns is not None:
+            self._target = None
+            step = asked.step
+            Context().run(self._clock.call_at_ns, at_ns, lambda: None if reached.done() else reached.set_result(step))
 
-    def _judge_evidence(self, step: StepReport, motions: Mapping[str, Sequence[Motion]]) -> None:
-        """Invariant 8: every claimed interval contains the truth."""
-        origin_ns = self.fleet.coordinators["first"][1].throne.scale.origin_host_ns
-        for name, member in step.members.items():
-            axes = self.fleet.fleet.controllers[name].axes
-            for axis, evidence in member.evidence.items():
-                truth = next((m for m in motions[name] if m.axis == axes[axis].motors[0]), None)
-                if truth is None:
-                    self.story.violations.append(f"invariant 8: {name}.{axis} claims a start and did not move")
-                    continue
-                self._contain(f"{name}.{axis} start", evidence.start, truth.start_ns - origin_ns)
-                self._contain(f"{name}.{axis} modelled start", evidence.judged_start, truth.start_ns - origin_ns)
-                if evidence.end is not None and truth.end_ns is not None:
-                    self._contain(f"{name}.{axis} end", evidence.end, truth.end_ns - origin_ns)
+    def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
+        """When to break it, as soon as that can be told."""
+        going_out = asked.answered_ns is None
+        if stage in _WITHIN and asked.verb == stage and going_out:
+            return now_ns + self._draw.randint(*_WITHIN[stage])
+        if stage == "arm" and asked.verb == "arm" and going_out:
+            proposal = next(e for e in reversed(self.witness.asked) if (e.verb, e.member) == ("propose", asked.member))
+            costs = proposal.reply.get("costs") or {"arm_ns": 0}
+            return now_ns + self._draw.randrange(costs["arm_ns"] // 2 + 1)
+        if asked.verb != "go" or not asked.taken:
+            return None
+        t0_ns = self._host_ns(asked)
+        if stage == "fire":
+            return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_NS)
+        if stage == "motion":
+            return t0_ns + self._draw.randint(*_MOTION_NS)
+        return None
 
-    def _contain(self, what: str, claimed: Interval, truth_ns: int) -> None:
-        if not claimed.earliest_ns <= truth_ns <= claimed.latest_ns:
-            self.story.violations.append(
-                f"invariant 8: {what} at {truth_ns}, claimed {claimed.earliest_ns} to {claimed.latest_ns}"
-            )
+    def _stage_of(self, step: tuple[str, int], member: str) -> Stage | None:
+        """How far `member` has come in the step; None when its job has ended."""
+        row = self.virtual.journal.row(step[0])
+        if row is None or row.state in ENDED:
+            return None
+        at = self._reached[step, member]
+        if "t0" in at and self._clock.now_ns() > at["t0"] + _FIRE_NS:
+            return "motion"
+        return next(stage for stage in reversed(STAGES) if stage in at)
 
-    def _judge_epochs(self) -> None:
+    def _host_ns(self, asked: Asked) -> int:
+        origin_ns = next(c.throne.scale.origin_host_ns for _, c in self.virtual.coordinators.values() if c.throne.epoch)
+        return asked.said["t0_fleet_ns"] + origin_ns
+
+    # What can be told at once
+
+    def _hear_state(self, sample: Sample) -> None:
+        """Invariant 9: no adapter goes back to an older epoch."""
+        _, _, rest = sample.payload.partition(b'"epoch":')
+        epoch = int(rest[: rest.index(b",")])
+        if epoch < self._epochs.get(sample.key, 0):
+            self.judge.violate("9", f"{sample.key}: epoch {epoch} after {self._epochs[sample.key]}")
+        self._epochs[sample.key] = epoch
+
+    async def _judge_latches(self, fault: str) -> None:
+        """Invariant 4: an e-stop is latched by every adapter that can be reached, without a coordinator."""
+        if fault != "estop":
+            return
+        person = self.virtual.client("looker")
+        for name, state in (await person.status(1.0)).items():
+            if state.estop is None:
+                self.judge.violate("4", f"{name} has not latched the e-stop")
+        await person.close()
+
+    def _judge_reigns(self) -> None:
         """Invariant 9: the reigns have different epochs, and an overtaken coordinator knows that it is."""
-        epochs = [each.throne.epoch for _, each in self.fleet.coordinators.values() if each.throne.epoch]
+        epochs = [each.throne.epoch for _, each in self.virtual.coordinators.values() if each.throne.epoch]
         if len(set(epochs)) != len(epochs):
-            self.story.violations.append(f"invariant 9: two reigns with one epoch: {epochs}")
-        if self.story.fault == "coordinator-hung" and not self.fleet.coordinators["first"][1].throne.over:
-            self.story.violations.append("invariant 9: the overtaken coordinator believes that it reigns")
+            self.judge.violate("9", f"two reigns with one epoch: {epochs}")
+        for name in self._breaker.overtaken:
+            if not self.virtual.coordinators[name][1].throne.over:
+                self.judge.violate("9", f"coordinator {name} was overtaken and believes that it reigns")

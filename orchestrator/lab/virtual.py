@@ -8,11 +8,12 @@ from collections.abc import Callable, Coroutine, Sequence
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from random import Random
-from typing import Any
+from typing import Any, TypeVar
 
 from adapters.firing import LoopFirer
 from adapters.host import AdapterHost, Surroundings, stops_by_line
 from adapters.store import MemoryStore
+from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory import MemoryBus, MemoryNet
 from orchestrator.bus.memory_medium import Latency
@@ -20,7 +21,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import Process, VirtualClock
 from orchestrator.coordinator.coordinator import Coordinator, Court
-from orchestrator.coordinator.journal import Journal, inline
+from orchestrator.coordinator.journal import Journal, JournalError, inline
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.coordinator.standby import vacancy
 from orchestrator.lab.bridge import network
@@ -37,6 +38,11 @@ BUS_LATENCY = Latency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, most_
 HUNG_NS = 300 * NS_PER_MS  # a guardian's patience
 RESTART_NS = 200 * NS_PER_MS
 WAKE_NS = 60 * NS_PER_US  # the firing process wakes up to so late
+JOURNAL_READS = frozenset(
+    ("decisions", "find", "job", "knows", "recording", "report", "reserved", "row", "transitions", "unended")
+)
+
+T = TypeVar("T")
 
 
 @dataclass(slots=True)
@@ -51,11 +57,18 @@ class _Host:
 class VirtualFleet:
     """`fleet` simulated as a whole; everything random in it comes from `seed`. Make it outside every process.
 
-    wired: how the world is really wired, where that is not as the fleet file says.
+    wired: how the world is really wired, where that is not as the fleet file says. beside: puts somebody who listens
+    between a coordinator and the bus.
     """
 
     def __init__(
-        self, fleet: Fleet, clock: VirtualClock, seed: int = 0, guardian: bool = True, wired: Fleet | None = None
+        self,
+        fleet: Fleet,
+        clock: VirtualClock,
+        seed: int = 0,
+        guardian: bool = True,
+        wired: Fleet | None = None,
+        beside: Callable[[MemoryBus], Bus] = lambda bus: bus,
     ) -> None:
         self.fleet = fleet
         self.clock = clock
@@ -65,10 +78,13 @@ class VirtualFleet:
         self.journal = Journal(":memory:")
         self.controllers: dict[str, SimulatedController] = {}
         self.wires: dict[str, MemoryWire] = {}
+        self.crystals: dict[str, Oscillator] = {}
         self.simulators: dict[str, Process] = {}
         self.hosts: dict[str, _Host] = {}
         self.coordinators: dict[str, tuple[Process, Coordinator]] = {}
+        self.disk_full = False
         self._guardian = guardian
+        self._beside = beside
         self._draw = Random(seed)
         self._stores: dict[str, MemoryStore] = {}
         self._starts = 0
@@ -132,6 +148,7 @@ class VirtualFleet:
         )
         for name in names:
             self.simulators[name], self.controllers[name], self.wires[name] = process, line.units[name], wire
+            self.crystals[name] = units[name].oscillator
 
     def _branch(self, config: Controller) -> Branch:
         link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
@@ -261,15 +278,21 @@ class VirtualFleet:
 
     def _court(self, bus: MemoryBus) -> Court:
         return Court(
-            bus=bus,
+            bus=self._beside(bus),
             keys=self.keys,
             clock=self.clock,
             journal=self.journal,
-            runs=inline,
+            runs=self._runs,
             new_id=self.new_id,
             sink=self.lines.append,
             save_fleet=self._take_fleet,
         )
+
+    async def _runs(self, function: Callable[..., T], *values: Any) -> T:
+        """The journal's calls; those that change it fail while its disk is full."""
+        if self.disk_full and function.__name__ not in JOURNAL_READS:
+            raise JournalError("the journal can not be used (database or disk is full)", "make room on its disk")
+        return await inline(function, *values)
 
     def _take_fleet(self, fleet: Fleet) -> None:
         """The fleet file that hosts and coordinators which start from now on are given."""

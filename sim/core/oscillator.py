@@ -61,6 +61,12 @@ class Oscillator:
             guess_ns -= 1
         return guess_ns
 
+    def change_rate(self, ppm: float) -> None:
+        """From the next second of true time on that nobody has looked at yet, run faster by `ppm`, as by a blow. Only
+        for one that wanders."""
+        self._extend(len(self._rates))
+        self._rates[-1] += ppm * 1e-6
+
     def _extend(self, second: int) -> None:
         while len(self._rates) <= second:
             self._starts.append(self._starts[-1] + round(_NS_PER_S * self._rates[-1]))

@@ -1,0 +1,122 @@
+"""Fleets of the fault campaign: controllers of random makes, with crystals, lines, hosts and wires as they vary."""
+
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any
+
+from orchestrator.lab import sync_fleets as makes
+from orchestrator.model.fleet import Fleet
+
+MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
+
+LEAST, MOST = 4, 6  # controllers of a fleet
+TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
+PERMIT = "door"
+
+# Slower than the usual rates: a fleet at rest is polled half as often. Still more often than a silent adapter is.
+_RATES = {"idle_hz": 2.5, "moving_hz": 5.0}
+_DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
+
+Draft = dict[str, dict[str, Any]]
+
+
+def _smc4000(number: int, units: int, draw: Random) -> Draft:
+    config = makes.smc4000(number)
+    if draw.random() < 0.3:
+        config["axes"]["y"] = {**config["axes"]["x"], "motors": ["Y"]}
+        config["simulate"]["options"] = {
+            "axes": 2,
+            "home_edge": {"X": -2000, "Y": -1500},
+            "index_every": {"X": 200, "Y": 200},
+        }
+    config["outputs"] = {"start": {"number": 1}}
+    config["inputs"] = {**config["inputs"], PERMIT: {"number": 2, "active": "low"}}
+    return {f"a{number}": config}
+
+
+def _smc2000(number: int, units: int, draw: Random) -> Draft:
+    if units == 1:
+        return {f"b{number}": makes.smc2000(number)}
+    return {f"b{number}-{unit}": makes.smc2000(number, unit) for unit in range(units)}
+
+
+def _shrc203(number: int, units: int, draw: Random) -> Draft:
+    return {f"c{number}": makes.shrc203(number)}
+
+
+def _ppsmc(number: int, units: int, draw: Random) -> Draft:
+    return {f"d{number}": makes.ppsmc(number)}
+
+
+def _smc30(number: int, units: int, draw: Random) -> Draft:
+    drafts = {f"e{number}-{unit}": makes.smc30(number, unit) for unit in range(1, units + 1)}
+    for config in drafts.values():
+        config["simulate"]["options"] = {"checksum": True, "travel_steps": [-2000, 400_000]}
+    return drafts
+
+
+def _cia402(number: int, units: int, draw: Random) -> Draft:
+    """Drives on one CAN bus, whose reference is where they stand."""
+    drafts: Draft = {}
+    for unit in range(1, units + 1):
+        link = {"kind": "can", "interface": "socketcan", "channel": f"can{number}", "unit": unit}
+        drafts[f"f{number}-{unit}"] = {
+            "adapter": "cia402",
+            "link": link,
+            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": "37"}}},
+            "simulate": {"options": {"event_ms": 10}, "decode_us": 300, "spread_us": 200},
+        }
+    return drafts
+
+
+_DRAFTS: dict[str, Callable[[int, int, Random], Draft]] = {
+    "smc4000": _smc4000,
+    "smc2000": _smc2000,
+    "shrc203": _shrc203,
+    "ppsmc": _ppsmc,
+    "smc30": _smc30,
+    "cia402": _cia402,
+}
+_SHARING = {"smc2000": 3, "smc30": 2, "cia402": 2}
+"""How many units of a make stand on one line, at the most."""
+
+
+def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
+    """A fleet with at least one controller of each make in `wanted`."""
+    draw = Random(f"fleet {seed}")
+    controllers: Draft = {}
+    todo = list(dict.fromkeys(wanted))
+    while todo or len(controllers) < LEAST:
+        make = todo.pop(0) if todo else draw.choice(MAKES)
+        most = min(_SHARING.get(make, 1), MOST - len(controllers) - len(todo))
+        units = draw.randint(2, most) if most > 1 and draw.random() < TOGETHER else 1
+        drafts = _DRAFTS[make](len(controllers), units, draw)
+        host = draw.choice(("left", "left", "right"))
+        for name, config in drafts.items():
+            controllers[name] = _finished(config, host, draw)
+    plain: dict[str, Any] = {"schema": "tutti.fleet/1", "fleet": "campaign", "controllers": controllers}
+    gantries = [name for name, config in controllers.items() if PERMIT in config.get("inputs", {})]
+    if gantries:
+        plain["permits"] = {PERMIT: {"input": f"{gantries[0]}.{PERMIT}", "value": False}}
+        ends = [f"{name}.start" for name, config in controllers.items() if "start" in config.get("inputs", {})]
+        ends.remove(f"{gantries[0]}.start")
+        if ends and draw.random() < 0.5:
+            plain["wiring"] = [{"from": f"{gantries[0]}.start", "to": ends, "delay_us": [5, 50]}]
+    return Fleet.model_validate(plain)
+
+
+def _finished(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]:
+    crystal = {
+        "offset_s": draw.uniform(0, 600),
+        "drift_ppm": draw.uniform(-makes.DRIFT_PPM, makes.DRIFT_PPM),
+        "wander_ppm": makes.WANDER_PPM,
+    }
+    axes = {name: {**axis, "soft_limits": _soft_limits(axis)} for name, axis in config["axes"].items()}
+    simulate = {**config["simulate"], **crystal}
+    return {**config, "axes": axes, "simulate": simulate, "host": host, "state": _RATES}
+
+
+def _soft_limits(axis: dict[str, Any]) -> dict[str, float]:
+    """Room for moves of some seconds, and a little below zero."""
+    velocity = axis["limits"]["velocity"]
+    return {"min": -0.1 * velocity, "max": 1.6 * velocity}

@@ -1,0 +1,120 @@
+"""What coordinators ask adapters and hear from them: how far a step really is, and who has promised what."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from orchestrator.bus.base import Declared, Handler, Priority, Sample
+from orchestrator.bus.memory import MemoryBus
+from orchestrator.clock.base import Clock
+
+Stage = Literal["propose", "arm", "commit", "go", "fire", "motion"]
+STAGES: tuple[Stage, ...] = ("propose", "arm", "commit", "go", "fire", "motion")
+
+_STEP_VERBS = ("propose", "arm", "commit", "go")
+_SEEN = (*_STEP_VERBS, "lease")
+
+
+@dataclass(slots=True)
+class Asked:
+    """One request to an adapter, about a step or a lease. Instants in host ns; answered_ns: None without an answer.
+
+    said: what was asked, without profiles. taken: whether the adapter has agreed.
+    """
+
+    verb: str
+    member: str
+    said: dict[str, Any]
+    asked_ns: int
+    answered_ns: int | None = None
+    taken: bool = False
+    reply: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def step(self) -> tuple[str, int]:
+        return self.said["job"], self.said["step"]
+
+    @property
+    def promise(self) -> tuple[str, int, int, str, int]:
+        """Job, step, epoch, coordinator and T0: what has to be the same for all members."""
+        said = self.said
+        return said["job"], said["step"], said["epoch"], said["coordinator"], said["t0_fleet_ns"]
+
+
+class Witness:
+    """Sees every request of every coordinator of a fleet. `heard` is called as each goes out, and as it is answered."""
+
+    def __init__(self, clock: Clock, heard: Callable[[Asked], None]) -> None:
+        self.asked: list[Asked] = []
+        self._clock = clock
+        self._heard = heard
+
+    def of(self, verb: str) -> Iterator[Asked]:
+        """All requests of one verb, in their order."""
+        return (each for each in self.asked if each.verb == verb)
+
+    def beside(self, bus: MemoryBus) -> "WitnessedBus":
+        """`bus`, for a coordinator."""
+        return WitnessedBus(bus, self)
+
+    def ask(self, key: str, payload: bytes) -> Asked | None:
+        """A request goes out."""
+        *_, kind, member, cmd, verb = ("", "", "", *key.split("/"))
+        if (kind, cmd) != ("ctl", "cmd") or verb not in _SEEN:
+            return None
+        said = json.loads(payload)
+        axes = said.pop("profiles", None)
+        if axes is not None:
+            said["axes"] = list(axes)
+        asked = Asked(verb, member, said, self._clock.now_ns())
+        self.asked.append(asked)
+        self._heard(asked)
+        return asked
+
+    def answer(self, asked: Asked, payload: bytes) -> None:
+        """Its answer has come."""
+        asked.answered_ns = self._clock.now_ns()
+        asked.reply = json.loads(payload)
+        asked.taken = asked.reply["refused"] is None
+        self._heard(asked)
+
+
+class WitnessedBus:
+    """A coordinator's place on the bus, with somebody who listens."""
+
+    def __init__(self, bus: MemoryBus, witness: Witness) -> None:
+        self._bus = bus
+        self._witness = witness
+
+    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+        asked = self._witness.ask(key, payload)
+        reply = await self._bus.request(key, payload, timeout_s)
+        if asked is not None:
+            self._witness.answer(asked, reply)
+        return reply
+
+    def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
+        self._bus.put(key, payload, priority)
+
+    async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
+        return await self._bus.subscribe(expression, callback)
+
+    async def serve(self, expression: str, handler: Handler) -> Declared:
+        return await self._bus.serve(expression, handler)
+
+    async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
+        return await self._bus.request_all(expression, payload, timeout_s)
+
+    async def announce(self, key: str) -> Declared:
+        return await self._bus.announce(key)
+
+    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
+        return await self._bus.watch(expression, callback)
+
+    @property
+    def backlog(self) -> int:
+        return self._bus.backlog
+
+    async def close(self) -> None:
+        await self._bus.close()
