@@ -61,8 +61,8 @@ class UnitActions(Protocol):
         """Read and publish at once, after something was changed."""
         ...
 
-    async def stop(self, abort: bool, reason: str) -> None:
-        """Stop the controller, past everything else."""
+    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+        """Stop the controller, past everything else. follow: a step that moves is followed to its rest."""
         ...
 
     def reconfigure(self, config: Controller) -> None:
@@ -162,7 +162,8 @@ class Commands:
         return await self._parts.member.go(request)
 
     async def _stop(self, request: Stop) -> Reply:
-        await self._unit.stop(request.mode == "abort", request.reason or f"stopped by {request.actor}")
+        reason = request.reason or f"stopped by {request.actor}"
+        await self._unit.stop(request.mode == "abort", reason, follow=request.mode == "hold")
         return Reply()
 
     async def _lease(self, request: LeaseRequest) -> Reply:

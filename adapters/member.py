@@ -191,9 +191,13 @@ class Member:
 
     # Ways out
 
-    async def stop(self, abort: bool, reason: str) -> None:
-        """Stop the controller now, whatever it does; nothing that is loaded starts afterwards."""
+    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+        """Stop the controller now, whatever it does; nothing that is loaded starts afterwards. follow: the end of a
+        step that moves is told once it is at rest, with its evidence."""
         self._interruptions += 1
+        if follow and self.ticket is not None and self.ticket.phase is Phase.MOVING:
+            await self._driver.stop(abort)
+            return
         ticket, self.ticket = self.ticket, None
         await self._driver.stop(abort)
         if ticket is not None:

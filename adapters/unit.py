@@ -289,14 +289,15 @@ class Unit:
 
     # Stops, past everything else
 
-    async def stop(self, abort: bool, reason: str) -> None:
-        """Stop the controller for whatever reason; nothing that is loaded starts afterwards."""
+    async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
+        """Stop the controller for whatever reason; nothing that is loaded starts afterwards. follow: a step that moves
+        is followed to its rest."""
         condition = self._condition
         condition.stopped_ns = self._clock.now_ns()
         condition.stopping_until_ns = condition.stopped_ns + self._driver.capabilities.costs.stop_ns
         self._jogging.ended_all(reason)
         try:
-            await self._member.stop(abort, reason)
+            await self._member.stop(abort, reason, follow)
         except (LinkClosed, LinkRefused, DriverFault):
             self._stop_owed = True
             raise

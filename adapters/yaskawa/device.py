@@ -12,7 +12,7 @@ from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THRE
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, SharedStops, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
-from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
+from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 THREADS = 8  # L12258
@@ -50,6 +50,7 @@ class Device:
         self._must_reconnect = False
         # How many stops each axis has been given: what was on its way when one came must not begin a motion after it.
         self._stops_given = [0] * len(AXIS_LETTERS)
+        self._stop_given = asyncio.Event()
 
     # Reaching it
 
@@ -271,6 +272,20 @@ class Device:
     def _count_stop(self) -> None:
         """All axes are stopped."""
         self._stops_given = [given + 1 for given in self._stops_given]
+        self._stop_given.set()
+        self._stop_given = asyncio.Event()
+
+    async def sleep_to_stop(self, span_ns: int) -> bool:
+        """Sleep for `span_ns`, or until all axes are stopped; whether they were."""
+        given = self._stop_given
+        sleeping = asyncio.ensure_future(sleep_ns(self._clock, span_ns))
+        stopping = asyncio.ensure_future(given.wait())
+        try:
+            await asyncio.wait([sleeping, stopping], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            sleeping.cancel()
+            stopping.cancel()
+        return given.is_set()
 
     def _write_past(self, *commands: str) -> None:
         """By the handle for stops, past everything that is under way on the other one."""

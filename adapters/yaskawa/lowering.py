@@ -170,7 +170,7 @@ def lower_moves(
         note = (f"({why})",) if why else ()
     else:
         try:
-            load = _by_contour(way, motors, bounds, options, tick_ns, model, packets)
+            load = _by_contour(way, motors, bounds, options, tick_ns, model, packets, how.brake_s)
             note = (f"({why})",) if why else ()
         except CannotDo as refusal:
             if shapes is None:
@@ -246,6 +246,7 @@ def _by_contour(
     tick_ns: float,
     model: Model,
     packets: arrays.Packets,
+    brake_s: float,
 ) -> Records:
     if not model.contours:
         raise CannotDo(
@@ -264,7 +265,10 @@ def _by_contour(
             contour,
             {motors[axis]: profile for axis, profile in way.items()},
             {motors[axis]: contour.ends[axis] for axis in way},
-            {motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_ns * 1e-9) for axis in way},
+            {
+                motors[axis]: exact_ramp(axis, _brake(bounds[axis].acceleration, profile, brake_s), tick_ns * 1e-9)
+                for axis, profile in way.items()
+            },
             packets,
         )
 
@@ -272,6 +276,11 @@ def _by_contour(
     if isinstance(packets, arrays.SlowUpload):
         return _soon_enough(load, records, room, tick_ns, model, packets)
     return load
+
+
+def _brake(most: float, profile: Profile, brake_s: float) -> float:
+    """The deceleration of an axis with which all axes of the step, stopped together, stay on their common path."""
+    return min(most, profile.peak_velocity / brake_s) if brake_s else most
 
 
 def _soon_enough(

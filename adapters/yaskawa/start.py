@@ -224,6 +224,7 @@ class Start:
         seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in moves}
         ended: dict[str, Span] = {}
         planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
+        stopped = False
         while True:
             record = await self._device.record()
             for move in moves:
@@ -236,7 +237,8 @@ class Start:
             await self._feed(round((self._device.samples.mapping() or loaded.mapping).ticks(record.received_ns)))
             # Look again soon after the next planned end: the stamps tell the last end only.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
-            await sleep_ns(self._clock, min(WATCH_NS, left_ns) if left_ns > 0 else SETTLE_NS)
+            watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
+            stopped = await self._device.sleep_to_stop(watch_ns) or stopped
         reasons = {move.axis: self._reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
         if states <= {"done"}:

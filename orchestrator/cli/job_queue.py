@@ -60,15 +60,20 @@ def move(job_id: str, before: str, connect: str, fleet: str | None) -> None:
     with_fleet(connect, fleet, act)
 
 
-@click.command(epilog="Example: tutti job pause 3f2a91c0")
+@click.command(epilog="Example: tutti job pause 3f2a91c0 --now")
 @_JOB
+@click.option("--now", is_flag=True, help="Brake inside a motion step; it goes on from where it stands.")
 @fleet_options
-def pause(job_id: str, connect: str, fleet: str | None) -> None:
-    """Hold a running job when its present step has ended. It keeps its axes; to stop at once: `tutti stop`."""
+def pause(job_id: str, now: bool, connect: str, fleet: str | None) -> None:
+    """Hold a running job when its present step has ended, or --now. It keeps its axes; `tutti job resume` goes on.
+
+    With --now all axes of a move brake together, by their planned ramps; other steps still come to their end.
+    """
 
     async def act(tutti: "Tutti") -> None:
-        await tutti.pause(job_id)
-        console.print(f"job {job_id} pauses at the end of its step", highlight=False)
+        await tutti.pause(job_id, now)
+        how = "brakes and holds" if now else "pauses at the end of its step"
+        console.print(f"job {job_id} {how}; `tutti job resume {job_id}` goes on", highlight=False)
 
     with_fleet(connect, fleet, act)
 

@@ -31,6 +31,7 @@ from orchestrator.model.service import (
     JobShown,
     ListJobs,
     MoveJob,
+    PauseJob,
     Prune,
     Pruned,
     Recorded,
@@ -200,9 +201,10 @@ class Tutti:
         """Put a queued job before another one, with that one's priority. Raises `Refused`: code `not-queued`."""
         await self.service("move", MoveJob(**self.fields(), job_id=job_id, before=before), Reply)
 
-    async def pause(self, job_id: str) -> None:
-        """Hold a running job when its present step has ended; it keeps its axes. Raises `Refused`: `not-running`."""
-        await self.service("pause", JobRef(**self.fields(), job_id=job_id), Reply)
+    async def pause(self, job_id: str, now: bool = False) -> None:
+        """Hold a running job when its present step has ended; it keeps its axes. now: inside a motion step; its axes
+        brake together, and `resume` goes on from where they stand. Raises `Refused`: `not-running`."""
+        await self.service("pause", PauseJob(**self.fields(), job_id=job_id, now=now), Reply)
 
     async def resume(self, job_id: str) -> None:
         """Go on with a paused job. Raises `Refused`: codes `not-running`, `not-paused`."""
@@ -274,8 +276,8 @@ class Tutti:
     async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold what is queued. What each controller
         answered, by id."""
-        request = Stop(**self.fields(), mode="abort" if mode == "abort" else "decelerate")
-        fleet = StopFleet(**self.fields(), mode=request.mode)
+        fleet = StopFleet(**self.fields(), mode="abort" if mode == "abort" else "decelerate")
+        request = Stop(**self.fields(), mode=fleet.mode)
         # The coordinator knows all controllers, and the job; who is there is asked meanwhile, for it may be away.
         service = asyncio.ensure_future(self.service("stop", fleet, Reply))
         controllers = list(await self.status(STOP_LOOK_S))

@@ -92,9 +92,9 @@ class BlockingJob:
         """Let it begin when it is its turn. Raises `Refused`."""
         self._worker.do(self._job.release())
 
-    def pause(self) -> None:
-        """Hold it when its present step has ended. Raises `Refused`: `not-running`."""
-        self._worker.do(self._job.pause())
+    def pause(self, now: bool = False) -> None:
+        """Hold it when its present step has ended, or `now` inside a motion step. Raises `Refused`: `not-running`."""
+        self._worker.do(self._job.pause(now))
 
     def resume(self) -> None:
         """Go on with it. Raises `Refused`: codes `not-running`, `not-paused`."""

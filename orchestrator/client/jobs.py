@@ -74,9 +74,10 @@ class SubmittedJob(str):
         """Let it begin when it is its turn. Raises `Refused`."""
         await self._tutti.release(self)
 
-    async def pause(self) -> None:
-        """Hold it when its present step has ended; it keeps its axes. Raises `Refused`: `not-running`."""
-        await self._tutti.pause(self)
+    async def pause(self, now: bool = False) -> None:
+        """Hold it when its present step has ended, or `now` inside a motion step; it keeps its axes. Raises `Refused`:
+        `not-running`."""
+        await self._tutti.pause(self, now)
 
     async def resume(self) -> None:
         """Go on with it. Raises `Refused`: codes `not-running`, `not-paused`."""

@@ -41,6 +41,7 @@ from orchestrator.model.service import (
     JobShown,
     ListJobs,
     MoveJob,
+    PauseJob,
     Prune,
     Pruned,
     Recorded,
@@ -129,7 +130,7 @@ class Coordinator:
             "hold": (JobRefs, self._hold),
             "release-job": (JobRefs, self._release_jobs),
             "move": (MoveJob, self._move),
-            "pause": (JobRef, self._pause),
+            "pause": (PauseJob, self._pause),
             "resume": (JobRef, self._resume),
             "prune": (Prune, self._prune),
             "stop": (StopFleet, self._stop),
@@ -302,8 +303,8 @@ class Coordinator:
     async def _move(self, request: MoveJob) -> Model:
         return Reply(refused=await self.runner.move(request.job_id, request.before, request.actor))
 
-    async def _pause(self, request: JobRef) -> Model:
-        return Reply(refused=await self.runner.pause(request.job_id, request.actor))
+    async def _pause(self, request: PauseJob) -> Model:
+        return Reply(refused=await self.runner.pause(request.job_id, request.actor, request.now))
 
     async def _resume(self, request: JobRef) -> Model:
         return Reply(refused=await self.runner.resume(request.job_id, request.actor))

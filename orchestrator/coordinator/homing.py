@@ -9,12 +9,12 @@ from orchestrator.coordinator.permits import Permits
 from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.fleet import Fleet, by_controller
-from orchestrator.model.messages import HomeReply, HomeRequest, Refusal
+from orchestrator.model.messages import HomeReply, HomeRequest, Refusal, StopMode
 from orchestrator.plan.step import Targets
 
 ANSWER_S = 3.0
 
-StopMembers = Callable[[list[str], str, str, str], Awaitable[None]]
+StopMembers = Callable[[list[str], StopMode, str, str], Awaitable[None]]
 Progress = Callable[[float, str], None]
 """Told the part that is done, 0 to 1, and what is being done."""
 

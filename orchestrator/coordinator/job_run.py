@@ -3,6 +3,7 @@
 import asyncio
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 
 from orchestrator.bus.base import Bus, BusError, Priority
 from orchestrator.bus.keys import Keys
@@ -18,7 +19,8 @@ from orchestrator.coordinator.targets import Refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.fleet import by_controller
 from orchestrator.model.job import Home, Job, Move, Step
-from orchestrator.model.report import JobReport, JobState, Progress, StepReport, Transition
+from orchestrator.model.messages import StopMode
+from orchestrator.model.report import Held, JobReport, JobState, Progress, StepReport, Transition
 
 PROGRESS_NS = NS_PER_S // 5
 REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show that it is over
@@ -97,6 +99,7 @@ class JobRun:
         self._part = 0.0
         self._doing = ""
         self._paused_by: str | None = None
+        self._braked = False
         self._resumed: asyncio.Event = asyncio.Event()
         self._resumed_by = ""
 
@@ -115,7 +118,7 @@ class JobRun:
         """Controllers that it can move, for stopping them all."""
         return list(by_controller(axes_of(self._works.view.fleet, self.to_run)))
 
-    async def interrupt(self, interrupt: Interrupted, mode: str = "decelerate") -> None:
+    async def interrupt(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
         """Stop its axes and end it. Does nothing to one that ends already."""
         if self._over or self._interrupt is not None or self.task is None:
             return
@@ -137,9 +140,15 @@ class JobRun:
         self._resumed.clear()
         self.publish()
 
+    async def brake(self, actor: str) -> None:
+        """Hold inside a motion step: its axes brake together, and it goes on from where they stand. Any other step is
+        held at its end."""
+        self._braked = True
+        await self._works.motion.hold(self.row.id, actor)
+
     def resume(self, actor: str) -> None:
-        """Go on with the next step, or do not hold at all."""
-        self._paused_by, self._resumed_by = None, actor
+        """Go on with the step that is held inside, or the next one, or do not hold at all."""
+        self._paused_by, self._resumed_by, self._braked = None, actor, False
         self._resumed.set()
         self.publish()
 
@@ -152,6 +161,8 @@ class JobRun:
         """Wait until somebody resumes the job, if it is paused. Raises `Interrupted` when it is given up."""
         while self._paused_by is not None:
             where = f"before step {self._step}" if self._step == self.row.from_step else f"after step {self._step - 1}"
+            if self._part:
+                where = f"in step {self._step}"
             await self._change("holding", f"paused by {self._paused_by} {where}", self._paused_by)
             await self._resumed.wait()
             if self._given_up is not None:
@@ -198,7 +209,7 @@ class JobRun:
                 self._part, self._doing = 0.0, ""
                 await self._hold()
                 step = self._steps[index]
-                report = await self._run_step(index, step)
+                report = await self._run_through_holds(index, step)
                 self._reports.append(report)
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
@@ -223,11 +234,31 @@ class JobRun:
             await works.motion.stop(self.members, "decelerate", "coordinator", reason)
         return Outcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
 
-    async def _run_step(self, index: int, step: Step) -> StepReport:
+    async def _run_through_holds(self, index: int, step: Step) -> StepReport:
+        """Run a step; one that is held inside goes on to the same targets from where its axes stand."""
+        holds: list[Held] = []
+        goal: dict[str, Fraction] = {}
+        while True:
+            report = await self._run_step(index, step, goal)
+            held = report.state == "stopped" if report.refused is None else report.refused.code == "held"
+            if not (self._braked and held):
+                return report.model_copy(update={"holds": holds})
+            if report.refused is None:
+                works, by = self._works, self._paused_by or ""
+                holds.append(Held(by=by, utc=works.clock.utc(), rest_skew=report.end_skew))
+                self._part = self._within()
+            self._step_t0_ns = 0
+            await self._hold()
+            await self._until_at_rest()
+
+    async def _run_step(self, index: int, step: Step, goal: dict[str, Fraction]) -> StepReport:
         works = self._works
 
         async def on_state(state: JobState, reason: str) -> None:
             await self._change(state, reason)
+            if self._braked and state != "planning":
+                # It was asked for while there was nothing to brake yet.
+                await works.motion.hold(self.row.id, self._paused_by or "")
 
         def on_progress(part: float, doing: str) -> None:
             self._part, self._doing = part, doing
@@ -239,7 +270,7 @@ class JobRun:
         began_ns = works.clock.now_ns()
         try:
             if isinstance(step, Move):
-                return await works.motion.run(self.row.id, self.job, index, step, on_state, on_started)
+                return await works.motion.run(self.row.id, self.job, index, step, on_state, on_started, goal)
             await on_state("running", "")
             await works.plain.run(step, self.row.id, self.row.actor, on_progress)
         except Refuse as error:
@@ -276,11 +307,9 @@ class JobRun:
 
     def progress(self) -> Progress:
         """How far the job has come: steps done, and the part of the present one."""
-        within, remaining_s = self._part, None
+        within, remaining_s = self._within(), None
         if self._step_t0_ns and self._step_s > 0:
-            gone_s = (self._works.throne.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
-            within = min(1.0, max(0.0, gone_s / self._step_s))
-            remaining_s = max(0.0, self._step_s - gone_s)
+            remaining_s = max(0.0, self._step_s - self._gone_s())
         step = self._steps[self._step]
         reason = self._reason
         if self._paused_by is not None and self.state != "holding":
@@ -298,6 +327,15 @@ class JobRun:
             reason=reason,
             utc=self._works.clock.utc(),
         )
+
+    def _gone_s(self) -> float:
+        return (self._works.throne.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
+
+    def _within(self) -> float:
+        """The part of the present step that is done: of the rest behind `_part`, by time."""
+        if not self._step_t0_ns or self._step_s <= 0:
+            return self._part
+        return self._part + (1 - self._part) * min(1.0, max(0.0, self._gone_s() / self._step_s))
 
     # Motors
 

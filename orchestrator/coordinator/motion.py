@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
+from fractions import Fraction
 from typing import Any, TypeVar
 
 from orchestrator.bus.base import BusError
@@ -27,6 +28,7 @@ from orchestrator.model.messages import (
     Reply,
     StepRef,
     Stop,
+    StopMode,
 )
 from orchestrator.model.report import JobState, MemberReport, StepReport
 from orchestrator.model.state import AxisEvidence, AxisState, Event, Info, Interval
@@ -67,6 +69,7 @@ class Motion:
         self._journal = journal
         self._runs = runs
         self._log = log
+        self._under_way: dict[str, Moving] = {}
         self.targets = Targets()
 
     async def run(
@@ -77,10 +80,15 @@ class Motion:
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
         on_started: Callable[[int, float], None],
+        goal: dict[str, Fraction],
     ) -> StepReport:
-        """Run one move to its end. Raises `Refuse` when nothing has moved; else the report says how it went."""
+        """Run one move to its end. Raises `Refuse` when nothing has moved; else the report says how it went.
+
+        goal: the exact targets of its axes, empty at first; given again when a step that was held goes on.
+        """
         await on_state("planning", "")
-        moving = await self._plan(job_id, job, index, step)
+        moving = await self._plan(job_id, job, index, step, goal)
+        goal.update({axis: exact for axis, (exact, _) in moving.resolved.exact.items()})
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
         await self._proposing.agree(moving, job, step)
@@ -89,12 +97,19 @@ class Motion:
         unlisten = self._view.listen(moving.events.put_nowait)
         unguard = self._permits.listen(lambda: moving.events.put_nowait(None))
         recorder = Recorder(self._view, moving.plan.profiles)
+        self._under_way[job_id] = moving
         try:
-            await self._arm_and_release(moving, job, step, on_state)
+            try:
+                await self._arm_and_release(moving, job, step, on_state)
+            except Refuse:
+                # A member that was stopped while it was being armed says so in its own words.
+                _require_not_held(moving)
+                raise
             await on_state("running", "")
             on_started(moving.t0_fleet_ns, moving.plan.duration_s)
             report = await self._watch(moving, step)
         finally:
+            del self._under_way[job_id]
             unlisten()
             unguard()
             recording = recorder.done(index, step.name or "", moving.t0_fleet_ns)
@@ -106,7 +121,7 @@ class Motion:
 
     async def dry_run(self, job: Job, index: int, step: Move) -> dict[str, Any]:
         """Durations, budget and what each controller would be sent. Raises `Refuse`."""
-        moving = await self._plan("dry-run", job, index, step)
+        moving = await self._plan("dry-run", job, index, step, {})
         if moving.plan.profiles:
             await self._proposing.agree(moving, job, step)
         return {
@@ -115,9 +130,16 @@ class Motion:
             "commands": {member: proposal.commands for member, proposal in moving.proposals.items()},
         }
 
+    async def hold(self, job_id: str, actor: str) -> None:
+        """Brake the motion step that the job is in, if it is in one; `run` then reports it as stopped."""
+        moving = self._under_way.get(job_id)
+        if moving is not None and moving.held_by is None:
+            moving.held_by = actor
+            await self.stop(moving.movers, "hold", actor, f"held by {actor}")
+
     # Plan
 
-    async def _plan(self, job_id: str, job: Job, index: int, step: Move) -> Moving:
+    async def _plan(self, job_id: str, job: Job, index: int, step: Move, goal: Mapping[str, Fraction]) -> Moving:
         names = list(step.to | step.by)
         members = list(dict.fromkeys(name.partition(".")[0] for name in names))
         states: dict[str, AxisState] = {}
@@ -142,7 +164,7 @@ class Motion:
         missing = self._permits.missing(names)
         if missing is not None:
             raise Refuse("permit", missing, "bring it about, then submit again")
-        resolved = resolve(step, self._view.fleet, states, infos, self.targets)
+        resolved = resolve(step, self._view.fleet, states, infos, self.targets, goal)
         try:
             plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
         except PlanError as error:
@@ -161,6 +183,7 @@ class Motion:
         disarm_ns = max(proposal.costs.disarm_ns for proposal in moving.proposals.values() if proposal.costs)
         for growth in LEAD_GROWTH:
             await on_state("arming", "")
+            _require_not_held(moving)
             if growth > 1:
                 await self._proposing.again(moving, step, growth)
             if step.align and growth == 1:
@@ -178,6 +201,9 @@ class Motion:
             raise Refuse("late", "arming takes longer than the members say, however long the lead", "see the report")
         await on_state("armed", "")
         await self._commit(moving)
+        if moving.held_by is not None:
+            await self._disarm(moving)
+            _require_not_held(moving)
         lost = moving.lost_permit()
         if lost is not None:
             await self._disarm(moving)
@@ -285,19 +311,24 @@ class Motion:
         ends_ns = moving.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
         reports = {member: self._member_report(moving, member) for member in moving.proposals}
         failure: tuple[str, str] | None = None
+        held = False
         while waiting_end and failure is None:
             event = await self._next_event(moving)
             if event is not None:
                 member = event.controller
-                if event.kind in ("started", "done"):
+                ends = event.kind == "done" or (event.kind == "stopped" and moving.held_by is not None)
+                if event.kind == "started" or ends:
                     waiting_start.discard(member)
                     evidence = {axis: self._narrowed(moving, member, each) for axis, each in event.evidence.items()}
                     reports[member] = reports[member].model_copy(update={"evidence": evidence})
-                if event.kind == "done":
+                if ends:
                     waiting_end.discard(member)
-                if event.kind in ("failed", "stopped", "disarmed"):
+                    held = held or event.kind == "stopped"
+                elif event.kind in ("failed", "stopped", "disarmed"):
                     failure = (event.kind, f"{member}: {event.text}")
             failure = failure or self._overdue(moving, waiting_start, waiting_end, ends_ns)
+        if held and failure is None:
+            return self._report(moving, step, reports, ("stopped", f"held by {moving.held_by}"))
         if failure is not None:
             await self.stop(moving.movers, "decelerate", moving.actor, failure[1])
             if moving.line is not None and moving.line.driver not in moving.movers:
@@ -403,13 +434,13 @@ class Motion:
             verdict=judge(start_skew, moving.budget),
         )
 
-    async def stop(self, members: list[str], mode: str, actor: str, reason: str) -> None:
+    async def stop(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
         """Stop members, all at once; who does not answer is logged."""
         requests = {
             member: Stop(
                 request_id=self._members.new_id(),
                 actor=actor,
-                mode="abort" if mode == "abort" else "decelerate",
+                mode=mode,
                 reason=reason,
             )
             for member in members
@@ -430,3 +461,8 @@ class Motion:
         ask: Any = self._members.ask
         asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
         return dict(zip(requests, await asyncio.gather(*asked), strict=True))
+
+
+def _require_not_held(moving: Moving) -> None:
+    if moving.held_by is not None:
+        raise Refuse("held", f"held by {moving.held_by} before it began")

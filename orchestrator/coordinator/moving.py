@@ -48,6 +48,7 @@ class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
 
     arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
+    held_by: who has it braked inside.
     """
 
     job_id: str
@@ -65,6 +66,19 @@ class Moving:
     t0_fleet_ns: int = 0
     events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
     guard: Guard | None = None
+    held_by: str | None = None
+
+    @property
+    def brake_s(self) -> float:
+        """How long the axis that is slowest to brake needs from its peak velocity."""
+        return max(
+            (
+                self.plan.profiles[each.axis].peak_velocity / each.acceleration
+                for each in self.resolved.moves
+                if each.axis in self.plan.profiles
+            ),
+            default=0.0,
+        )
 
     @property
     def movers(self) -> list[str]:

@@ -198,8 +198,9 @@ def start_way(moving: Moving, step: Move, member: str) -> StartWay:
     lead_ns = moving.lead_ns + READING_NS
     line = moving.line
     if line is not None and (member == line.driver or member in line.waiters):
-        return line.way(member, lead_ns)
-    return StartWay(by="auto" if step.start == "line" else step.start, lead_ns=lead_ns)
+        return line.way(member, lead_ns).model_copy(update={"brake_s": moving.brake_s})
+    by = "auto" if step.start == "line" else step.start
+    return StartWay(by=by, lead_ns=lead_ns, brake_s=moving.brake_s)
 
 
 def refuse_if_any(replies: Mapping[str, Reply]) -> None:

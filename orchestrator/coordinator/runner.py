@@ -19,7 +19,7 @@ from orchestrator.coordinator.queue import Choice, Waiting, choose, in_order, ne
 from orchestrator.model.base import UnknownName
 from orchestrator.model.fleet import by_controller
 from orchestrator.model.job import Job
-from orchestrator.model.messages import Estop, Refusal
+from orchestrator.model.messages import Estop, Refusal, StopMode
 from orchestrator.model.queue import parse_utc
 from orchestrator.model.report import ENDED, JobReport, JobState, QueueEntry
 
@@ -115,7 +115,7 @@ class Runner:
         self.wake()
         return None
 
-    async def stop(self, interrupt: Interrupted, mode: str = "decelerate") -> None:
+    async def stop(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
         """Stop all that runs, and hold all that waits: nothing begins by itself after a stop."""
         queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
         for job_id in queued:
@@ -123,7 +123,7 @@ class Runner:
         await self.interrupt(interrupt, mode)
         await self._note_held(queued, interrupt.actor, f"held: {interrupt.reason}")
 
-    async def interrupt(self, interrupt: Interrupted, mode: str = "decelerate") -> None:
+    async def interrupt(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
         """Stop all jobs that run, and end them."""
         await asyncio.gather(*(run.interrupt(interrupt, mode) for run in self._running.values()))
 
@@ -174,14 +174,16 @@ class Runner:
         self._board.announce()
         return None
 
-    async def pause(self, job_id: str, actor: str) -> Refusal | None:
-        """Hold a running job when its present step has ended."""
+    async def pause(self, job_id: str, actor: str, now: bool = False) -> Refusal | None:
+        """Hold a running job when its present step has ended; with `now`, inside a motion step."""
         run = self._running.get(job_id)
         if run is None:
             return await self._refusal(job_id, "not-running", "keep a queued one back with `tutti job hold`")
         if run.paused_by is None:
             self._works.log.info(f"to be paused by {actor}", job=job_id)
             run.pause(actor)
+        if now:
+            await run.brake(actor)
         return None
 
     async def resume(self, job_id: str, actor: str) -> Refusal | None:

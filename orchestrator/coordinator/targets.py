@@ -35,11 +35,16 @@ class Resolved:
 
 
 def resolve(
-    step: Move, fleet: Fleet, states: Mapping[str, AxisState], infos: Mapping[str, Info], targets: Targets
+    step: Move,
+    fleet: Fleet,
+    states: Mapping[str, AxisState],
+    infos: Mapping[str, Info],
+    targets: Targets,
+    goal: Mapping[str, Fraction],
 ) -> Resolved:
     """Absolute counts for all axes of `step`, checked against referenced, enabled and soft limits.
 
-    states: by axis; infos: by controller. Raises `Refuse`.
+    states: by axis; infos: by controller. goal: what the step was resolved to before it was held. Raises `Refuse`.
     """
     moves: list[AxisMove] = []
     exact: dict[str, tuple[Fraction, int]] = {}
@@ -52,7 +57,10 @@ def resolve(
             amount = parse_quantity(value, axis.unit)
         except UnitError as error:
             raise Refuse("bad-unit", f"{name}: {error}", member=controller) from None
-        target = here + amount if name in step.by else _turned(axis, here, amount - state.offset, state.offset)
+        if name in goal:
+            target = goal[name]
+        else:
+            target = here + amount if name in step.by else _turned(axis, here, amount - state.offset, state.offset)
         counts = axis.to_counts(target)
         _require_inside(name, axis, target, counts, float(state.offset), controller)
         exact[name] = (target, counts)

@@ -101,12 +101,15 @@ class StartWay(Model):
 
     by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far T0 is ahead of the last reading
     of the controller's clock, at the most: what is promised of clocks is promised for so long. drive: a member may
-    drive a line and move axes as well, or only drive it (no profiles). exact: T0 is just so far ahead.
+    drive a line and move axes as well, or only drive it (no profiles). exact: T0 is just so far ahead. brake_s: how
+    long a stop from the peak velocity should take, so that all axes of the step stay on their common path and come to
+    rest together; 0: as short as the limits allow.
     """
 
     by: StartWish = "auto"
     lead_ns: Int53 = 0
     exact: bool = False
+    brake_s: float = 0.0
     wait: LineWait | None = None
     drive: LineDrive | None = None
 
@@ -180,10 +183,14 @@ class Disarm(StepRef):
     """Unload; nothing starts."""
 
 
-class Stop(Request):
-    """Stop the controller, from anyone at any epoch. decelerate: by its planned ramp; abort: as fast as it can."""
+StopMode = Literal["decelerate", "abort", "hold"]
 
-    mode: Literal["decelerate", "abort"] = "decelerate"
+
+class Stop(Request):
+    """Stop the controller, from anyone at any epoch. decelerate: by its planned ramp; abort: as fast as it can; hold:
+    by its planned ramp, and the step is followed until it is at rest, so that there is evidence of when that was."""
+
+    mode: StopMode = "decelerate"
     reason: str = ""
 
 

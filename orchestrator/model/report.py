@@ -103,8 +103,16 @@ class MemberReport(Model):
     evidence: dict[str, AxisEvidence] = Field(default={})
 
 
+class Held(Model):
+    """A hold inside a motion step: by whom, when, and how far the axes' rests were apart, by evidence."""
+
+    by: str
+    utc: str
+    rest_skew: Skew | None = None
+
+
 class StepReport(Model):
-    """What one step did."""
+    """What one step did. One that was held inside says of its last part how it went, and when it was held before."""
 
     index: int
     do: str
@@ -120,6 +128,7 @@ class StepReport(Model):
     end_skew: Skew | None = None
     verdict: Literal["green", "amber", "red", "none"] = "none"
     refused: Refusal | None = None
+    holds: list[Held] = Field(default=[])
 
 
 class AxisRecording(Model):

@@ -66,6 +66,12 @@ class JobRef(Request):
     job_id: str
 
 
+class PauseJob(JobRef):
+    """Hold a running job at the end of its step; with `now`, inside a motion step: its axes brake together."""
+
+    now: bool = False
+
+
 class JobRefs(Request):
     """Several jobs. For `release`: none stands for all that are held."""
 

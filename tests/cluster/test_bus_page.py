@@ -51,6 +51,7 @@ EXAMPLES: dict[str, Any] = {
     "limit": 5,
     "mode": "decelerate",
     "name": "",
+    "now": False,
     "older_s": 1e6,
     "reason": "",
     "renew": False,
