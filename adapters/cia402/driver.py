@@ -325,7 +325,7 @@ class CiaDriver(Driver):
         mover = self._moving()
         if mover.move is not None and mover.move.lowered.drive is not None:
             raise CannotDo("busy", "a step drives an output, and all are written together", "wait for its end")
-        if found.loaded:
+        if mover.move is not None and mover.move.waits:
             raise CannotDo(
                 "busy", "a set-point waits for its SYNC, and outputs are written with it", "wait for the start"
             )

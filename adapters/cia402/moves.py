@@ -4,7 +4,7 @@ bus, and followed to its end."""
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil, floor
 
 from adapters.cia402 import objects as o
@@ -51,7 +51,11 @@ class Move:
     started: Span | None = None
     stopped_ns: int | None = None
     release: Timer | None = None
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def waits(self) -> bool:
+        """It was released, and its SYNC has not come."""
+        return self.released and not self.shot.fired.done()
 
 
 class Mover:
@@ -244,7 +248,6 @@ class Mover:
         self._take_back(move)
         if before or not move.followed:
             self.move = None
-        move.changed.set()
         self._node.wake()
 
     def _derailed(self, move: Move) -> None:

@@ -50,7 +50,7 @@ class Ride:
             self.fail(f"had no position with SYNC {number - 1} of its stream (underrun)")
         elif number == self.count - 1:
             self.last_heard_ns = answer.at_ns
-        elif number >= self.count and answer.demand == self._point(number):
+        elif number > self.count and answer.demand == self._point(number):
             self.arrived = True
             node.demand = answer.demand  # what it says by itself may come later
             node.wake()

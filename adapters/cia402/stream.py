@@ -16,8 +16,8 @@ from orchestrator.link.can import CanFrame, encode
 
 AHEAD = 5
 """Periods that have been handed over for writing."""
-TAIL = 2
-"""SYNCs behind the last position: by the first the drive says that it is there."""
+TAIL = 3
+"""SYNCs behind the last position: a SYNC may come before the drive is quite there, and have it take one period more."""
 COPIES = 2
 
 

@@ -83,9 +83,9 @@ class Mover:
 
     # Orders, which act now
 
-    def go(self, plan: Plan, slowing: bool = False) -> None:
-        """Leave what it does and follow `plan`. slowing: because of a stop."""
-        here = self.position
+    def go(self, plan: Plan, slowing: bool = False, here: float | None = None) -> None:
+        """Leave what it does and follow `plan`, from `here` on. slowing: because of a stop."""
+        here = self.position if here is None else here
         self._cancel()
         now_ns = self._time.now_ns()
         self._base, self._plan, self._begin_ns, self.slowing = here, plan, now_ns, slowing
@@ -127,9 +127,10 @@ class Mover:
 
     def follow(self, target: float, period_s: float) -> None:
         """One piece of an interpolated path, to `target` in `period_s`. `ended` is not called: the next may follow."""
-        distance = target - self.position
+        here = self.position  # live, it is another one when it is asked for again
+        distance = target - here
         if abs(distance) >= LEAST:
-            self.go(straight(distance, period_s))
+            self.go(straight(distance, period_s), here=here)
         elif self._plan is None and self._motion is not None:
             # It has rested since the end of its last piece.
             self._path = self._motion

@@ -360,6 +360,30 @@ def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
     run(main, **SMOOTH)
 
 
+@pytest.mark.parametrize("before_ms", [150, 3])
+def test_a_host_that_dies_before_its_start_leaves_nothing_that_a_later_sync_starts(before_ms: int) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
+        await world.until(t0_ns - before_ms * NS_PER_MS)
+        world.wire.links[0].hang_up()
+        await world.rest(100)
+        for driver in world.drivers:
+            await driver.close()
+        for driver in world.drivers:
+            await driver.connect()
+            await driver.configure()
+        link = await world.wire.open()
+        link.write(encode(CanFrame(0x080)))
+        await world.rest(50)
+        assert not any(unit.motions for unit in world.units)
+        for number in (0, 1):
+            await world.drivers[number].enable(["a"], True)
+            await another(world, number)
+
+    run(main, count=2, **SMOOTH)
+
+
 @pytest.mark.parametrize("trouble", ["power", "fault", "bus-off", "cut"])
 def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
     async def main(world: Drives) -> None:
@@ -372,9 +396,11 @@ def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
         elif trouble == "fault":
             world.unit.station.drive.fault(0x4310, 0)
         elif trouble == "bus-off":
-            node = world.bus._nodes[-1]
-            node.transmit_errors = 255
-            world.bus.disturb(1)
+            host = world.bus._nodes[-1]
+            while not host.off:  # the next frame may be somebody else's
+                host.transmit_errors = 255
+                world.bus.disturb(1)
+                await world.rest(0.5)
         else:
             world.bus.cut = True
         _, outcome = await following[0]
