@@ -354,8 +354,8 @@ class Mover:
                 Outcome("done", at_t0) if move.stopped_ns is None else Outcome("stopped", at_t0, "stopped on request")
             )
         seconds = lowered.durations_s[lowered.axis]
-        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1)
-        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1)
+        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1) - self._between_ns(lowered)
+        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1) + self._between_ns(lowered)
 
         def arrived() -> bool:
             if move.ride is not None:
@@ -387,6 +387,14 @@ class Mover:
         if stopped:
             return Outcome("stopped", spans, f"stopped on request; {stands}")
         return Outcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
+
+    def _between_ns(self, lowered: CiaLowered) -> int:
+        """A drive that was stopped may stand between two counts, and says the nearer one: its way is up to half a count
+        longer or shorter than it was planned."""
+        if lowered.shape is None:
+            return 0
+        counts_s = lowered.shape.velocity / float(self._options.velocity_units)
+        return ceil(0.5 / counts_s * NS_PER_S)
 
     def _rode(self, ride: Ride, period_ns: int) -> tuple[int, int]:
         """Where the end lies: a period after its last SYNC had its effect."""

@@ -6,12 +6,12 @@ import subprocess
 import sys
 
 SCRIPT = """
-import hashlib, sys
-from cluster.worlds import MOVE, PREPARE, demo_fleet
-from orchestrator.lab.campaign import run_seed
+import hashlib
+from orchestrator.lab.campaign import Cell, play
 lines = []
 for stage, fault in (("motion", "none"), ("arm", "host-killed"), ("fire", "coordinator-hung"), ("go", "garbage")):
-    lines += run_seed(demo_fleet(), PREPARE, MOVE, 3, stage, fault).lines
+    story = play(3, [Cell(stage, fault, "shrc203")])
+    lines += [*story.lines, *story.events, *story.violations]
 print(len(lines), hashlib.sha256("\\n".join(lines).encode()).hexdigest())
 """
 
