@@ -274,7 +274,8 @@ class Member:
         try:
             started = await self._driver.started()
             if self.ticket is not ticket:
-                await self._driver.outcome()  # stopped just then, and not over before somebody has seen it rest
+                if self.ticket is None and not self._turn.locked():
+                    await self._driver.outcome()  # stopped just then, and not over before somebody has seen it rest
                 return
             moving = self.ticket = replace(ticket, phase=Phase.MOVING)
             evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
