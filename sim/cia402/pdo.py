@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Timer
 from orchestrator.link.can import CanFrame
@@ -19,6 +20,7 @@ _ID = 0x7FF
 _SYNCHRONOUS_UP_TO = 240
 _REMOTE_SYNCHRONOUS = 252
 _EVENT_FROM = 254
+_TURNING = (0x6062, 0x6063, 0x6064, 0x606B, 0x606C, 0x60F4, 0x60FC)
 CONTROLWORD = (0x6040, 0)
 LENGTH_ERROR = 0x8210
 
@@ -48,8 +50,10 @@ class _Pdo:
 
 @dataclass(slots=True)
 class _Outgoing(_Pdo):
-    """last: what was sent last. free_ns: when the inhibit time after it is over."""
+    """values: where those of its objects come from, with bytes and sign. last: what was sent last. free_ns: when the
+    inhibit time after it is over."""
 
+    values: tuple[tuple[Callable[[], int], int, bool], ...] = ()
     last: bytes = b""
     syncs: int = 0
     free_ns: int = 0
@@ -83,6 +87,8 @@ class Pdos:
         self._emergency = emergency
         self._other_identifiers = other_identifiers
         self._running = False
+        self.follows_motion = False
+        """Whether an event-driven PDO carries what changes while the motor turns."""
         self._incoming = [_Incoming(0x1400 + n, 0x1600 + n) for n in range(COUNT)]
         self._outgoing = [_Outgoing(0x1800 + n, 0x1A00 + n) for n in range(COUNT)]
         for pdo in (*self._incoming, *self._outgoing):
@@ -162,7 +168,15 @@ class Pdos:
         if isinstance(pdo, _Incoming):
             pdo.held = None
         elif isinstance(pdo, _Outgoing):
+            reads, entries = self._dictionary.reads, self._dictionary.entries
+            pdo.values = tuple(
+                (reads.get(key) or partial(get, *key), size, entries[key].signed) for key, size in pdo.objects
+            )
             self._arm_event_timer(pdo)
+        self.follows_motion = any(
+            pdo.on and pdo.type >= _EVENT_FROM and any(key[0] in _TURNING for key, _ in pdo.objects)
+            for pdo in self._outgoing
+        )
         self._other_identifiers()
 
     # Life
@@ -271,18 +285,8 @@ class Pdos:
         if pdo.on and self._encode(pdo) != pdo.last:
             self._transmit(pdo)
 
-    @property
-    def follows_motion(self) -> bool:
-        """Whether an event-driven PDO carries what changes while the motor turns."""
-        turning = (0x6062, 0x6063, 0x6064, 0x606B, 0x606C, 0x60F4, 0x60FC)
-        return self._running and any(
-            pdo.on and pdo.type >= _EVENT_FROM and any(key[0] in turning for key, _ in pdo.objects)
-            for pdo in self._outgoing
-        )
-
     def _encode(self, pdo: _Outgoing) -> bytes:
-        dictionary = self._dictionary
-        return b"".join(dictionary.entries[key].encode(dictionary.get(*key)) for key, _ in pdo.objects)
+        return b"".join([value().to_bytes(size, "little", signed=signed) for value, size, signed in pdo.values])
 
     def _transmit(self, pdo: _Outgoing) -> None:
         pdo.last = self._encode(pdo)
