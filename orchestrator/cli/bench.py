@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from orchestrator.cli.bench_clocks import clock, firing, sync
+from orchestrator.cli.bench_clocks import clock, firing, rates, sync
 from orchestrator.cli.bench_journal import journal
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
@@ -343,4 +343,5 @@ def _show_spreads(figures: "JogFigures | PermitFigures", as_json: bool) -> None:
 bench.add_command(clock)
 bench.add_command(firing)
 bench.add_command(journal)
+bench.add_command(rates)
 bench.add_command(sync)

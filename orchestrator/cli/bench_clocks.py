@@ -125,6 +125,35 @@ def firing(as_json: bool, shots: int) -> None:
     console.print(table)
 
 
+@click.command(epilog="Example: tutti bench rates --json")
+@json_option
+@click.option("--trials", default=30, show_default=True, type=click.IntRange(2, 10_000), help="Crystals a link.")
+@click.option("--seed", default=1, show_default=True, help="Of everything random.")
+def rates(as_json: bool, trials: int, seed: int) -> None:
+    """Learn crystals that can not be read, and times to the start, from moves of 5 to 60 s; in virtual time.
+
+    Beside the learned rate stand its guaranteed bound, how often the truth was outside it, a crystal that is taken for
+    what it says, and the mean of the measured durations; beside the learned time to the start, what is declared, and
+    the mean of the acknowledgements. 30 crystals a link take half a minute or so.
+    """
+    from orchestrator.lab.bench_rates import bench_rates
+    from orchestrator.monitor.tables import plain_table
+
+    found, starts = bench_rates(trials, seed)
+    if as_json:
+        rows = {"rates": [row._asdict() for row in found], "starts": [row._asdict() for row in starts]}
+        print_json({**rows, "trials": trials, "seed": seed})
+        return
+    table = plain_table(["rate, ppm", "moves>", "p50>", "p95>", "max>", "bound>", "misses>", "nominal>", "mean>"])
+    for row in found:
+        table.add_row(row.link, str(row.moves), *(f"{each:g}" for each in row[3:]))
+    console.print(table)
+    table = plain_table(["start, µs", "moves>", "p50>", "p95>", "max>", "misses>", "declared>", "mean>"])
+    for row in starts:
+        table.add_row(row.link, str(row.moves), *(f"{each:g}" for each in row[3:]))
+    console.print(table)
+
+
 def _live(steps: int, as_json: bool) -> None:
     from orchestrator.lab.bench_sync_live import bench_sync_live
     from orchestrator.monitor.tables import plain_table

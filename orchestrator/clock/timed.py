@@ -1,0 +1,217 @@
+"""What is seen of a move that a unit times by its own crystal, and what that says of crystal and start.
+
+Whatever the controller, it is the same: the starting line was written, and acknowledged; positions were told on the
+way; it was asked whether it still moves; it said that it has ended. Each is a fact about an interval of host time. At
+constant speed, positions are readings of the crystal: hundreds in a long move. A position is taken for one of an
+instant between the end of the question on the wire and the beginning of its answer. The form of ramps is used for
+nothing but where start and end lie.
+
+What is guaranteed of an end on the slow side is that it had not come at the last question which was answered with
+`moving`. That a completion line is held back by no more than some time is not: the option of a receiver is no evidence.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import ceil, floor, inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.rate import CrystalRate, Gate, Measure
+
+BEFORE_END_NS = 20 * NS_PER_MS
+"""So long before a move can have ended it is asked, again and again, whether it has."""
+_MOST = 256
+"""Readings that are compared with each other."""
+_STRETCHES = 48
+"""Of the time; of more readings than `_MOST` the best two of each are kept."""
+_ENOUGH = 10
+_LEAST_PPM = 0.1
+"""No line of readings is believed more closely than that."""
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Cruise:
+    """The longest leg at constant speed: counts from first to last, begun begin_s after the start; counts/s."""
+
+    first: float
+    last: float
+    begin_s: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """By the crystal, first_ns to last_ns had passed since the start, at an instant from earliest_ns to latest_ns."""
+
+    first_ns: float
+    last_ns: float
+    earliest_ns: int
+    latest_ns: int
+
+    @property
+    def early(self) -> float:
+        """Larger is better: how late the start is at the least, by a perfect crystal."""
+        return self.earliest_ns - self.last_ns
+
+    @property
+    def late(self) -> float:
+        """Smaller is better."""
+        return self.latest_ns - self.first_ns
+
+
+class _Line:
+    """Least squares of the crystal's time against the host's, as sums, in s from the start: no reading is kept for it,
+    and none left out."""
+
+    def __init__(self) -> None:
+        self._n = 0
+        self._host = self._host2 = self._off = self._off2 = self._both = 0.0
+
+    def add(self, host_ns: float, device_ns: float) -> None:
+        host, off = host_ns / NS_PER_S, (device_ns - host_ns) / NS_PER_S
+        self._n += 1
+        self._host, self._host2 = self._host + host, self._host2 + host * host
+        self._off, self._off2 = self._off + off, self._off2 + off * off
+        self._both += host * off
+
+    def measure(self, begin_ns: int) -> Measure | None:
+        """The slope, with the error that the scatter about it gives. begin_ns: the host instant of 0."""
+        if self._n < _ENOUGH:
+            return None
+        n = self._n
+        over = self._host2 - self._host**2 / n
+        both = self._both - self._host * self._off / n
+        scatter = max(0.0, self._off2 - self._off**2 / n - both * both / over) / (n - 2)
+        middle_ns = begin_ns + round(self._host / n * NS_PER_S)
+        return Measure(both / over * 1e6, sqrt(scatter / over) * 1e6 + _LEAST_PPM, middle_ns)
+
+
+class TimedMove:
+    """A move that has started. duration_s: by the unit's crystal; legs: (duration, speed at its begin, acceleration) by
+    the same, one behind the other, in s and counts along the way. started_ns: the earliest and the latest instant of
+    its start, by what was seen alone, never by what the crystal was thought to be."""
+
+    def __init__(
+        self, duration_s: float, legs: Iterable[tuple[float, float, float]], started_ns: tuple[int, int]
+    ) -> None:
+        self.duration_s = duration_s
+        self.started_ns = started_ns
+        self._cruise = _cruise(legs)
+        self._readings: list[_Reading] = []
+        self._asked, self._told = _Line(), _Line()
+        self._ended_ns: tuple[int | None, int] | None = None
+        self._moved_ns: int | None = None
+
+    def stood(self, way: float, grain: float, earliest_ns: int, latest_ns: int) -> None:
+        """Between the two instants it had gone so far, to within `grain` counts either way."""
+        cruise = self._cruise
+        if cruise is None or not cruise.first + grain < way < cruise.last - grain:
+            return
+        middle_ns = (cruise.begin_s + (way - cruise.first) / cruise.speed) * NS_PER_S
+        off_ns = grain / cruise.speed * NS_PER_S
+        self._readings.append(_Reading(middle_ns - off_ns, middle_ns + off_ns, earliest_ns, latest_ns))
+        self._asked.add(earliest_ns - self.started_ns[0], middle_ns)
+        self._told.add(latest_ns - self.started_ns[0], middle_ns)
+        if len(self._readings) > _MOST:
+            self._readings = _best(self._readings)
+
+    def moved(self, at_ns: int) -> None:
+        """It had not ended at that instant. Only for a unit that does not say so any longer, e.g. while it settles."""
+        self._moved_ns = at_ns if self._moved_ns is None else max(self._moved_ns, at_ns)
+
+    def ended(self, latest_ns: int) -> None:
+        """It had ended, as planned, at that instant."""
+        self._ended_ns = (self._moved_ns, latest_ns)
+
+    @property
+    def gates(self) -> list[Gate]:
+        """What the rate of the crystal can have been."""
+        found: list[Gate] = []
+        device_ns = self.duration_s * NS_PER_S
+        if self._ended_ns is not None:
+            moved_ns, latest_ns = self._ended_ns
+            longest_ns = latest_ns - self.started_ns[0]
+            shortest_ns = 0 if moved_ns is None else moved_ns - self.started_ns[1]
+            low, high = _ppm(device_ns, longest_ns), _ppm(device_ns, shortest_ns)
+            found.append(Gate(low, high, latest_ns, self.duration_s / 3))
+        if len(self._readings) > 1:
+            found.append(self._pairs())
+        return found
+
+    @property
+    def measures(self) -> list[Measure]:
+        """What the rate has been found to be by the positions that were told; nothing without them.
+
+        Questions reach a unit more evenly than its answers reach the host where a receiver holds these back, less
+        evenly where the host is busy: whichever of both scatters less about a straight line is believed.
+        """
+        lines = [each.measure(self.started_ns[0]) for each in (self._asked, self._told)]
+        return sorted((each for each in lines if each is not None), key=lambda each: each.error_ppm)[:1]
+
+    def _pairs(self) -> Gate:
+        """The narrowest of all stretches between two readings."""
+        first, last, earliest, latest = (
+            np.array([getattr(each, name) for each in self._readings], dtype=float)
+            for name in ("first_ns", "last_ns", "earliest_ns", "latest_ns")
+        )
+        earliest, latest = earliest - self.started_ns[0], latest - self.started_ns[0]
+        least, most = _between(last, first), _between(first, last)  # by the crystal
+        shortest, longest = _between(latest, earliest), _between(earliest, latest)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low = np.where((least > 0) & (longest > 0), least / longest - 1, -1.0)
+            high = np.where((least > 0) & (shortest > 0), most / shortest - 1, inf)
+        at_ns = max(each.latest_ns for each in self._readings)
+        apart_s = (at_ns - min(each.earliest_ns for each in self._readings)) / NS_PER_S
+        return Gate(float(low.max()) * 1e6, float(high.min()) * 1e6, at_ns, apart_s)
+
+    def start_ns(self, rate: CrystalRate, now_ns: int) -> tuple[int, int]:
+        """The earliest and the latest instant of its start, by all that was seen and a rate as it is known now."""
+        earliest_ns, latest_ns = self.started_ns
+        if self._ended_ns is not None:
+            least_ns, most_ns = rate.took_ns(self.duration_s, now_ns)
+            moved_ns, ended_ns = self._ended_ns
+            latest_ns = min(latest_ns, ended_ns - least_ns)
+            if moved_ns is not None:
+                earliest_ns = max(earliest_ns, moved_ns - most_ns)
+        # Up to a reading the crystal may have been off by the wander of the whole move.
+        low, high = rate.span_ppm(now_ns, 3 * self.duration_s)
+        for each in self._readings:
+            earliest_ns = max(earliest_ns, floor(each.earliest_ns - each.last_ns / (1 + low * 1e-6)))
+            latest_ns = min(latest_ns, ceil(each.latest_ns - each.first_ns / (1 + high * 1e-6)))
+        return earliest_ns, latest_ns
+
+
+def _cruise(legs: Iterable[tuple[float, float, float]]) -> _Cruise | None:
+    found: list[tuple[float, _Cruise]] = []
+    begin_s = begin = 0.0
+    for duration_s, speed, acceleration in legs:
+        end = begin + duration_s * (speed + duration_s * acceleration / 2)
+        if acceleration == 0.0 and speed > 0.0:
+            found.append((duration_s, _Cruise(begin, end, begin_s, speed)))
+        begin_s, begin = begin_s + duration_s, end
+    return max(found, key=lambda each: each[0])[1] if found else None
+
+
+def _best(readings: list[_Reading]) -> list[_Reading]:
+    """Of each stretch the readings that say most of when they were passed at the earliest, and at the latest."""
+    begin, length = readings[0].first_ns, readings[-1].last_ns - readings[0].first_ns
+    stretches: dict[int, list[_Reading]] = {}
+    for each in readings:
+        stretches.setdefault(int((each.first_ns - begin) / length * _STRETCHES), []).append(each)
+    kept: list[_Reading] = []
+    for each in stretches.values():
+        kept += dict.fromkeys((max(each, key=lambda one: one.early), min(each, key=lambda one: one.late)))
+    return kept
+
+
+def _between(from_: _Floats, to: _Floats) -> _Floats:
+    """from each reading (row) to each other one (column)."""
+    return to[np.newaxis, :] - from_[:, np.newaxis]
+
+
+def _ppm(device_ns: float, host_ns: float) -> float:
+    return (device_ns / host_ns - 1) * 1e6 if host_ns > 0 else inf
