@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -57,6 +57,8 @@ from orchestrator.model.service import (
 )
 from orchestrator.model.state import ControllerState
 
+T = TypeVar("T")
+
 ADOPT_S = 2.0
 _READING = ("list", "show", "recording")
 """Verbs that may be done twice; their answers are too large to keep."""
@@ -92,7 +94,7 @@ class Coordinator:
         members = self._members = Members(bus, keys, self.throne, court.new_id)
         permits = self._permits = Permits(self._view, clock)
         self._leases = LeaseBook(self._view, members, clock, bus, keys, self._log)
-        self._motion = Motion(self._view, members, permits, self.throne, clock, court.journal, court.runs, self._log)
+        self._motion = Motion(self._view, members, permits, self.throne, clock, court.journal, self._runs, self._log)
         targets = self._motion.targets
         homing = Homing(self._view, members, permits, targets, self._motion.stop)
         plain = self._plain = PlainSteps(self._view, members, clock, targets, homing)
@@ -101,7 +103,7 @@ class Coordinator:
             keys=keys,
             clock=clock,
             journal=court.journal,
-            runs=court.runs,
+            runs=self._runs,
             view=self._view,
             motion=self._motion,
             plain=plain,
@@ -168,6 +170,11 @@ class Coordinator:
         await self.throne.close()
         for task in list(self._tasks):
             task.cancel()
+
+    async def _runs(self, function: Callable[..., T], *values: Any) -> T:
+        """Call the journal; not any more once another coordinator has taken an epoch from it, heard of or not."""
+        await self._court.runs(self._court.journal.require_reign, self.throne.epoch)
+        return await self._court.runs(function, *values)
 
     # Adoption: every controller that is heard and not ours yet
 

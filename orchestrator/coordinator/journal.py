@@ -36,6 +36,10 @@ class HasEnded(JournalError):
     """The job has ended already: another coordinator has ended it. What is in the journal stands."""
 
 
+class Overtaken(HasEnded):
+    """Another coordinator reigns. Its jobs are none of ours."""
+
+
 class JobRow(NamedTuple):
     """A job as the journal has it.
 
@@ -143,6 +147,12 @@ class Journal:
             epoch = max(int(self._meta("epoch", "0")), seen) + 1
             self._set_meta("epoch", str(epoch))
         return epoch
+
+    def require_reign(self, epoch: int) -> None:
+        """Raises `Overtaken` when an epoch after `epoch` was taken."""
+        rows = self._read("SELECT value FROM meta WHERE key = 'epoch'")
+        if rows and int(rows[0][0]) > epoch:
+            raise Overtaken(f"epoch {epoch} is over: a coordinator reigns with epoch {rows[0][0]}")
 
     def scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
         """(scale id, origin in host ns): that of the last reign on this kernel, else a new one from `now_ns`."""

@@ -39,7 +39,19 @@ HUNG_NS = 300 * NS_PER_MS  # a guardian's patience
 RESTART_NS = 200 * NS_PER_MS
 WAKE_NS = 60 * NS_PER_US  # the firing process wakes up to so late
 JOURNAL_READS = frozenset(
-    ("decisions", "find", "job", "knows", "recording", "report", "reserved", "row", "transitions", "unended")
+    (
+        "decisions",
+        "find",
+        "job",
+        "knows",
+        "recording",
+        "report",
+        "require_reign",
+        "reserved",
+        "row",
+        "transitions",
+        "unended",
+    )
 )
 
 T = TypeVar("T")
