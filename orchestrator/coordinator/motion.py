@@ -13,7 +13,7 @@ from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import Moving
 from orchestrator.coordinator.permits import Permits
-from orchestrator.coordinator.proposing import ANSWER_S, MARGIN_NS, Proposing, start_way
+from orchestrator.coordinator.proposing import ANSWER_S, Proposing, start_way
 from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.targets import Refuse, refuse, resolve
@@ -180,25 +180,40 @@ class Motion:
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
     ) -> None:
-        disarm_ns = max(proposal.costs.disarm_ns for proposal in moving.proposals.values() if proposal.costs)
+        """Load all and let them go. Who is late while nothing has moved is armed again, with more lead."""
+        pace, late = self._proposing.pace, Refuse("late", "", "")
         for growth in LEAD_GROWTH:
             await on_state("arming", "")
             _require_not_held(moving)
             if growth > 1:
+                self._log.warning(f"late; arming again with more lead ({late.refusal.text})", job=moving.job_id)
+                pace.late(moving.proposals)
                 await self._proposing.again(moving, step, growth)
             if step.align and growth == 1:
                 await self._await_alignment(moving, step)
             moving.arming_fleet_ns = self._throne.fleet_now_ns()
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
-            await self._arm(moving, step)
-            await self._judge_frozen(moving, job, step)
-            # Commit and go need their time too, and after it a failure must still leave time to disarm.
-            if self._throne.fleet_now_ns() + MARGIN_NS // 2 + disarm_ns < moving.t0_fleet_ns:
-                break
-            await self._disarm(moving)
-            self._log.warning("arming took longer than promised; arming again with more lead", job=moving.job_id)
-        else:
-            raise Refuse("late", "arming takes longer than the members say, however long the lead", "see the report")
+            try:
+                await self._arm(moving, step)
+                await self._judge_frozen(moving, job, step)
+                # Commit and go need their time too, and after it a failure must still leave time to disarm.
+                needs_ns = pace.margin_ns // 2 + self._proposing.disarm_ns(moving)
+                if self._throne.fleet_now_ns() + needs_ns >= moving.t0_fleet_ns:
+                    await self._disarm(moving)
+                    raise Refuse("late", "arming took longer than was allowed for")
+                await self._release(moving, on_state)
+            except Refuse as refused:
+                if refused.refusal.code != "late" or not moving.unloaded:
+                    raise
+                late = refused
+            else:
+                return
+        text = f"arming takes longer than the members say, however long the lead: {late.refusal.text}"
+        raise Refuse("late", text, "see the log of the adapters, and the load of this machine", late.refusal.member)
+
+    async def _release(self, moving: Moving, on_state: Callable[[JobState, str], Coroutine[Any, Any, None]]) -> None:
+        """Have all promise, write down that they go, and let them. Raises `Refuse`: all are unloaded or stopped."""
+        armed_ns = self._clock.now_ns()
         await on_state("armed", "")
         await self._commit(moving)
         if moving.held_by is not None:
@@ -222,6 +237,9 @@ class Motion:
             raise Refuse("deposed", "another coordinator has taken over")
         await on_state("committed", "")
         await self._go(moving)
+        self._proposing.pace.released(self._clock.now_ns() - armed_ns)
+        declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
+        self._proposing.pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
 
     async def _await_alignment(self, moving: Moving, step: Move) -> None:
         """Wait until arming leads to the moment at which the members' ticks fall closest together. They are asked
@@ -292,9 +310,12 @@ class Motion:
         no other one's silence holds that up."""
         movers = moving.movers
 
+        moving.unloaded = True
+
         async def unload(member: str) -> None:
             (reply,) = (await self._ask_all("disarm", {member: Disarm(**self._ref(moving))}, Reply)).values()
             if reply.refused is not None and member in movers:
+                moving.unloaded = False
                 await self.stop([member], "decelerate", moving.actor, "disarm did not succeed")
 
         await asyncio.gather(*(unload(member) for member in moving.proposals))

@@ -48,7 +48,7 @@ class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
 
     arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
-    held_by: who has it braked inside.
+    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun.
     """
 
     job_id: str
@@ -67,6 +67,7 @@ class Moving:
     events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
     guard: Guard | None = None
     held_by: str | None = None
+    unloaded: bool = False
 
     @property
     def brake_s(self) -> float:

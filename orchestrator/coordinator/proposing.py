@@ -10,6 +10,7 @@ from orchestrator.coordinator.alignment import Grid, closest
 from orchestrator.coordinator.budget import Window, make_budget, make_ways, predict_end, predict_path
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import LineStart, Moving
+from orchestrator.coordinator.pace import Pace
 from orchestrator.coordinator.targets import Refuse, refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
@@ -22,7 +23,6 @@ ROUNDS = 3
 END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
 # Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
-MARGIN_NS = 150 * NS_PER_MS
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 
@@ -32,6 +32,7 @@ class Proposing:
     def __init__(self, view: FleetView, members: Members) -> None:
         self._view = view
         self._members = members
+        self.pace = Pace()
 
     async def agree(self, moving: Moving, job: Job, step: Move) -> None:
         """Settle plan, lead, budget, and the line that starts the step, if one does. Raises `Refuse`.
@@ -148,15 +149,27 @@ class Proposing:
         self.judge(moving, moving.proposals, job, step)
 
     def _lead_ns(self, moving: Moving) -> int:
-        """How far ahead of the arming T0 must be, by what the members say. Those on one line are armed in turns."""
-        arming_ns: dict[str, int] = {}
-        disarm_ns = 0
+        """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Those on one line
+        are armed in turns."""
+        arming_ns: dict[str, float] = {}
         for member, proposal in moving.proposals.items():
             if proposal.costs is not None:
                 place = self._view.fleet.controllers[member].link.place
-                arming_ns[place] = arming_ns.get(place, 0) + proposal.costs.arm_ns
-                disarm_ns = max(disarm_ns, proposal.costs.disarm_ns)
-        return max(arming_ns.values()) + MARGIN_NS + disarm_ns
+                takes_ns = proposal.costs.arm_ns * self.pace.share(member)
+                arming_ns[place] = arming_ns.get(place, 0.0) + takes_ns
+        needs_ns = round(max(arming_ns.values())) + self.pace.margin_ns + self.disarm_ns(moving)
+        # No adapter begins to arm what it could not take back before T0, by what it declares.
+        declared_ns = max(each.costs.disarm_ns for each in moving.proposals.values() if each.costs is not None)
+        return max(needs_ns, declared_ns + self.pace.margin_ns)
+
+    def disarm_ns(self, moving: Moving) -> int:
+        """How long before T0 it must be decided that nobody moves."""
+        takes_ns = [
+            proposal.costs.disarm_ns * self.pace.share(member)
+            for member, proposal in moving.proposals.items()
+            if proposal.costs is not None
+        ]
+        return round(max(takes_ns, default=0.0))
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""

@@ -1,0 +1,52 @@
+"""The lead over arming: as members declare it at first, as short as they have shown later, and long again when one is late."""
+
+from dataclasses import replace
+
+from cluster.worlds import PREPARE, job, outcome, run_fleet
+
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.coordinator.pace import KEPT, MARGIN_NS, Pace
+from orchestrator.lab.virtual import VirtualFleet
+
+STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
+
+
+def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+
+        async def waited_ns(k: int) -> int:
+            asked_ns = fleet.clock.now_ns() - origin_ns
+            report = await outcome(fleet, job(STEPS % (10 + k % 2, 1 + k % 2), max_start_skew="20 ms"))
+            assert report.state == "done", report.reason
+            t0_ns = report.steps[0].t0_fleet_ns
+            assert t0_ns is not None
+            return t0_ns - asked_ns
+
+        waits = [await waited_ns(k) for k in range(KEPT + 2)]
+        assert min(waits[:KEPT]) - waits[-1] > 100 * NS_PER_MS
+        # The network becomes slow: what was known is wrong, and the declared times count again.
+        for wire in fleet.wires.values():
+            wire.model = replace(wire.model, latency_ns=3 * NS_PER_MS)
+        slow = await waited_ns(KEPT)
+        assert slow > waits[-1]
+        assert any("arming again with more lead" in line for line in fleet.lines)
+
+    run_fleet(main)
+
+
+def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late() -> None:
+    pace = Pace()
+    for k in range(KEPT):
+        assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
+        pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
+        pace.released(NS_PER_MS)
+    assert 0.2 < pace.share("a") < 0.3
+    assert pace.share("b") == 1.0
+    assert pace.margin_ns < MARGIN_NS / 4
+    pace.late({"a": None})
+    assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
+    for _ in range(KEPT):
+        pace.armed({"a": 100}, {"a": 500})
+    assert pace.share("a") == 1.0
