@@ -15,6 +15,8 @@ PERMIT = "door"
 
 # Slower than the usual rates: a fleet at rest is polled half as often. Still more often than a silent adapter is.
 _RATES = {"idle_hz": 2.5, "moving_hz": 5.0}
+# Homing is not what is looked at: it has not far to go.
+_NEAR = {"axes": 2, "home_edge": {"X": -200, "Y": -150}, "index_every": {"X": 100, "Y": 100}}
 _DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 
 Draft = dict[str, dict[str, Any]]
@@ -22,22 +24,21 @@ Draft = dict[str, dict[str, Any]]
 
 def _smc4000(number: int, units: int, draw: Random) -> Draft:
     config = makes.smc4000(number)
+    config["simulate"]["options"] = _NEAR
     if draw.random() < 0.3:
         config["axes"]["y"] = {**config["axes"]["x"], "motors": ["Y"]}
-        config["simulate"]["options"] = {
-            "axes": 2,
-            "home_edge": {"X": -2000, "Y": -1500},
-            "index_every": {"X": 200, "Y": 200},
-        }
     config["outputs"] = {"start": {"number": 1}}
     config["inputs"] = {**config["inputs"], PERMIT: {"number": 2, "active": "low"}}
     return {f"a{number}": config}
 
 
 def _smc2000(number: int, units: int, draw: Random) -> Draft:
+    drafts = {f"b{number}-{unit}": makes.smc2000(number, unit) for unit in range(units)}
     if units == 1:
-        return {f"b{number}": makes.smc2000(number)}
-    return {f"b{number}-{unit}": makes.smc2000(number, unit) for unit in range(units)}
+        drafts = {f"b{number}": makes.smc2000(number)}
+    for config in drafts.values():
+        config["simulate"]["options"] = _NEAR
+    return drafts
 
 
 def _shrc203(number: int, units: int, draw: Random) -> Draft:
@@ -89,7 +90,7 @@ def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
     while todo or len(controllers) < LEAST:
         make = todo.pop(0) if todo else draw.choice(MAKES)
         most = min(_SHARING.get(make, 1), MOST - len(controllers) - len(todo))
-        units = draw.randint(2, most) if most > 1 and draw.random() < TOGETHER else 1
+        units = min(most, draw.choice((2, 2, 3))) if draw.random() < TOGETHER else 1
         drafts = _DRAFTS[make](len(controllers), units, draw)
         host = draw.choice(("left", "left", "right"))
         for name, config in drafts.items():

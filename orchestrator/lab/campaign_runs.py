@@ -33,10 +33,7 @@ PAIRS = len(STAGES) * len(FAULTS)
 
 
 def cells_of(seed: int) -> tuple[Cell, Cell]:
-    """What breaks in a seed. Seeds walk through all cells, and by and by through all pairs of them.
-
-    The first PAIRS // 2 seeds break every fault at every stage once.
-    """
+    """What breaks in a seed. Seeds walk through all cells, and by and by through all pairs of them."""
     again = seed // len(ROUND)
     return ROUND[seed % len(ROUND)], ROUND[(seed + PAIRS // 2 + 157 * again) % len(ROUND)]
 
