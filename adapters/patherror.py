@@ -1,6 +1,6 @@
 """How far what a controller executes is from its plan on the way, for makes that execute ramps and cruises."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
 from orchestrator.model.profile import Profile
@@ -45,6 +45,12 @@ def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float
             instants.append(-v / a)
         worst = max(worst, *(abs(x + t * (v + t * a / 2)) for t in instants))
     return worst + 1.0
+
+
+def in_host_time(legs: Iterable[tuple[float, float, float]], factor: float) -> Iterator[tuple[float, float, float]]:
+    """Legs in the host's time. factor: seconds of the unit's crystal in one of the host's."""
+    for duration_s, speed, acceleration in legs:
+        yield duration_s / factor, speed * factor, acceleration * factor**2
 
 
 def _at(pieces: Sequence[_Piece], time_s: float) -> _Piece:

@@ -58,6 +58,8 @@ class ShrcDriver(Driver):
         self._poller: Poller | None = None
         self._jogging: Jogging | None = None
         self._outputs = asyncio.Lock()
+        # Known beyond a connection: the crystal stays the same.
+        self._crystal = options.unread_clock()
 
     # Meeting the unit
 
@@ -67,7 +69,7 @@ class ShrcDriver(Driver):
         unit = self._unit = UnitState(session)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _RAMP_NS
-        self._mover = Mover(self._options, self._clock, self._setup.firer, unit, settle_ns)
+        self._mover = Mover(self._options, self._clock, self._setup.firer, unit, self._crystal, settle_ns)
         self._poller = Poller(self._config, self._options, self._clock, unit)
         self._jogging = Jogging(self._config, self._clock, unit, self._mover)
         identity = await startup.identify(session)
@@ -114,7 +116,8 @@ class ShrcDriver(Driver):
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> ShrcLowered:
         loops = {} if self._unit is None else self._unit.closed_loop
         closed_loop = frozenset(motor for motor, closed in loops.items() if closed)
-        wire = Wire(self._char_ns, self._line_starts, self._costs, self._line_costs, closed_loop)
+        known = self._crystal.known(self._clock.now_ns())
+        wire = Wire(self._char_ns, self._line_starts, self._costs, self._line_costs, known, closed_loop)
         return lower(self._config, self._options, wire, profiles, how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
@@ -261,6 +264,7 @@ class ShrcDriver(Driver):
     async def _recover(self, unit: UnitState) -> None:
         """The unit was switched off and on: load again what it has lost."""
         self._moving().forget()
+        self._crystal.forget()
         try:
             await self.configure()
         except CannotDo as error:

@@ -56,17 +56,17 @@ class Straight:
 
 
 def straight_line(
-    config: Controller, options: Options, profiles: Mapping[str, Profile], names: Sequence[str]
+    config: Controller, options: Options, profiles: Mapping[str, Profile], names: Sequence[str], factor: float
 ) -> Straight | None:
     """The line that the unit can make of the profiles of `names`, in the planned duration or the next longer one: what
     is longer is answered, and planned anew. None when they are no straight line, or one that may not be begun at full
-    speed."""
+    speed. factor: seconds of the unit's crystal in one of the host's."""
     axes = [config.axes[name] for name in names]
     if len(names) < 2 or not (_one_shape([profiles[name] for name in names]) and _one_pulse(axes, options)):
         return None
     distances = dict(sorted((motor(config.axes[n]), profiles[n].end_counts - profiles[n].start_counts) for n in names))
     length = hypot(*distances.values())
-    speed = floor(length / profiles[names[0]].duration_s * (1 + _ROUNDING))
+    speed = floor(length / (profiles[names[0]].duration_s * factor) * (1 + _ROUNDING))
     by_motor = {motor(axis): axis for axis in axes}
     if not 1 <= speed <= SPEED_MAX or not all(
         _may_begin(by_motor[number], speed * abs(each) / length) for number, each in distances.items()

@@ -70,20 +70,20 @@ def waiting_terms(options: Options, wait: Wait) -> tuple[Term, ...]:
     )
 
 
-def edge_terms(options: Options, behind_ns: int) -> tuple[Term, ...]:
+def edge_terms(options: Options, lead_ns: int, behind_ns: int) -> tuple[Term, ...]:
     """Where the edge of a driven line lies about T0.
 
-    behind_ns: how long the line that switches it takes on the wire behind the starting line, 0 when it is fired alone.
-    Behind another one it is decoded when it has come, and when that one is done.
+    lead_ns: how long before it the line that is written first is at the unit. behind_ns: how long the line that
+    switches it takes on the wire behind the starting line, 0 when it is fired alone. Behind another one it is decoded
+    when it has come, and when that one is done.
     """
     slow_ns = (options.decode_us + options.decode_spread_us) * NS_PER_US
     quick_ns = max(0, options.decode_us - options.decode_spread_us) * NS_PER_US
     if behind_ns:
         slow_ns += max(behind_ns, slow_ns)
         quick_ns += max(behind_ns, quick_ns)
-    usual_ns = options.decode_us * NS_PER_US
     return (
         Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
         Term(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
-        Term(name="firmware", earliest_ns=quick_ns - usual_ns, latest_ns=slow_ns - usual_ns),
+        Term(name="firmware", earliest_ns=quick_ns - lead_ns, latest_ns=slow_ns - lead_ns),
     )

@@ -12,7 +12,8 @@ from adapters.shrc203.session import Pending
 @dataclass(slots=True)
 class Move:
     """A move that is loaded. output: what it switches. From `go` on it is released, with the order to fire and the
-    places of the answers, of the starting line and of the one that switches. started: span of the start, when known."""
+    places of the answers, of the starting line and of the one that switches. started: span of the start, when known;
+    answered_ns: its `OK` can have begun to be sent by then."""
 
     lowered: ShrcLowered
     t0_ns: int
@@ -24,6 +25,7 @@ class Move:
     started: Span | None = None
     stopped_ns: int | None = None
     taken_back: bool = False
+    answered_ns: int | None = None
     seen: dict[int, AxisStatus] = field(default_factory=dict[int, AxisStatus])
 
     @property

@@ -5,10 +5,9 @@ Where one move can not take the planned time, a second one is loaded behind it w
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how
-from adapters.patherror import path_error_counts
+from adapters.patherror import in_host_time, path_error_counts
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
 from adapters.shrc203.interpolation import Steady, Straight, straight_line
@@ -17,6 +16,8 @@ from adapters.shrc203.options import Options
 from adapters.shrc203.pair import Pair, pairs
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Bounds, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.latency import Latency
+from orchestrator.clock.unread import KnownClock
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import StartWay, Term
 from orchestrator.model.profile import Profile
@@ -38,12 +39,13 @@ _ONE_S = 0.2e-3
 @dataclass(frozen=True, slots=True)
 class Wire:
     """What lowering knows of the connection. line_starts: whether axes can wait for an input. line_costs: of steps
-    with a wired line. closed_loop: motors that settle for a while at the end of a move."""
+    with a wired line. known: of the unit's clock. closed_loop: motors that settle for a while at the end of a move."""
 
     char_ns: int
     line_starts: bool
     costs: Costs
     line_costs: Costs
+    known: KnownClock
     closed_loop: frozenset[int] = frozenset()
 
 
@@ -74,10 +76,12 @@ class AxisMove:
 
 @dataclass(frozen=True, slots=True)
 class ShrcLowered(Lowered):
-    """What `arm` needs: the moves, the lines that load and start them, and the lines by wire. firsts: what is loaded by
+    """What `arm` needs: the moves, the lines that load and start them, and the lines by wire. lead_ns: the end of the
+    line that starts, or switches an output, is at the unit so long before T0. firsts: what is loaded by
     `load`; seconds: what `load_second` loads behind it once it runs. straight: the moves are parts of one interpolated
     line."""
 
+    lead_ns: int = 0
     moves: tuple[AxisMove, ...] = ()
     firsts: tuple[AxisMove, ...] = ()
     seconds: tuple[AxisMove, ...] = ()
@@ -115,17 +119,20 @@ def lower(
     load = straight.command if straight is not None else load_line(firsts) if running else ""
     load_second = load_line(seconds) if seconds else ""
     go = start_line(running) if running else ""
+    rate, lead_ns = wire.known.rate, wire.known.latency.usual_ns
+    durations_s = {each.name: each.shape.duration_s / rate.factor if each.shape else 0.0 for each in moves}
     behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * wire.char_ns if running and wait is None else 0
     return ShrcLowered(
         start_class="host" if wait is None else "line",
-        durations_s={each.name: each.shape.duration_s if each.shape else 0.0 for each in moves},
-        path_error_counts={each.name: _path_error(profiles[each.name], each) for each in moves},
-        terms=terms(options) if wait is None else waiting_terms(options, wait),
+        durations_s=durations_s,
+        path_error_counts={each.name: _path_error(profiles[each.name], each, rate.factor) for each in moves},
+        terms=terms(options, wire.known.latency) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
-        clock_ppm=options.clock_ppm,
+        clock_ppm=wire.known.clock_ppm(max(durations_s.values(), default=0.0)),
         costs=wire.line_costs if wait is not None or drive is not None else wire.costs,
         commands=(*_shown(running, load, go, wait, drive), *([load_second] if seconds else [])),
-        edge=() if drive is None else edge_terms(options, behind_ns),
+        edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
+        lead_ns=lead_ns,
         moves=running,
         firsts=firsts,
         seconds=seconds,
@@ -149,7 +156,8 @@ def _moves(
     ways = {name: _way(name, config.axes[name], each) for name, each in profiles.items()}
     running = tuple(each for each in ways.values() if each.distance)
     standing = tuple(each for each in ways.values() if not each.distance)
-    line = straight_line(config, options, profiles, [each.name for each in running]) if interpolated else None
+    factor = wire.known.rate.factor
+    line = straight_line(config, options, profiles, [each.name for each in running], factor) if interpolated else None
     try:
         alone = tuple(_alone(config.axes[each.name], options, wire, each, profiles[each.name]) for each in running)
     except CannotDo as refused:
@@ -157,13 +165,13 @@ def _moves(
             raise
         alone = None
     parts = () if line is None else _parts(line, running)
-    if alone is not None and (not parts or _worst(profiles, parts) > _worst(profiles, alone) - _NEARER):
+    if alone is not None and (not parts or _worst(profiles, parts, factor) > _worst(profiles, alone, factor) - _NEARER):
         parts, line = alone, None
     return tuple(sorted((*parts, *standing), key=lambda each: each.motor)), line
 
 
-def _worst(profiles: Mapping[str, Profile], moves: tuple[AxisMove, ...]) -> float:
-    return max((_path_error(profiles[each.name], each) for each in moves), default=0.0)
+def _worst(profiles: Mapping[str, Profile], moves: tuple[AxisMove, ...], factor: float) -> float:
+    return max((_path_error(profiles[each.name], each, factor) for each in moves), default=0.0)
 
 
 def _parts(line: Straight, moves: tuple[AxisMove, ...]) -> tuple[AxisMove, ...]:
@@ -184,19 +192,15 @@ def _shown(
     return (pattern, go, load, *switch)
 
 
-def terms(options: Options) -> tuple[Term, ...]:
-    """Where the start lies about T0: the starting line is written so that its end meets T0 - decode_us."""
-    spread = options.decode_spread_us
-    early = min(spread, options.decode_us)  # nothing is decoded in less than no time
+def terms(options: Options, start: Latency) -> tuple[Term, ...]:
+    """Where the start lies about T0: the starting line is written so that its usual start meets it."""
+    jitter_ns = options.wire_jitter_us * NS_PER_US
+    first_ns, last_ns = start.earliest_ns - start.usual_ns, start.latest_ns - jitter_ns - start.usual_ns
     return (
-        _term("host", options.fire_early_us, options.fire_late_us),
-        _term("wire", 0, options.wire_jitter_us),
-        _term("firmware", early, spread),
+        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        Term(name="wire", earliest_ns=0, latest_ns=jitter_ns),
+        Term(name="firmware", earliest_ns=first_ns, latest_ns=last_ns),
     )
-
-
-def _term(name: Literal["host", "wire", "firmware"], early_us: int, late_us: int) -> Term:
-    return Term(name=name, earliest_ns=-early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
 
 
 def load_line(moves: tuple[AxisMove, ...]) -> str:
@@ -228,8 +232,9 @@ def _way(name: str, axis: Axis, profile: Profile) -> AxisMove:
 
 def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Profile) -> AxisMove:
     """The move of an axis by itself. Raises `CannotDo`."""
-    limits, wanted_s, way, name = bounds(axis), profile.duration_s, abs(move.distance), move.name
-    shape: Trapezoid | Pair | None = fit(way, wanted_s, profile.durations_s[0], limits)
+    factor, limits, way, name = wire.known.rate.factor, bounds(axis), abs(move.distance), move.name
+    wanted_s = profile.duration_s * factor  # of the unit's own
+    shape: Trapezoid | Pair | None = fit(way, wanted_s, profile.durations_s[0] * factor, limits)
     if shape is None:
         raise CannotDo(
             "start-rate",
@@ -237,31 +242,34 @@ def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Pr
             "correct `start_rate`",
         )
     if move.motor not in wire.closed_loop:  # where the end of the first move is known only when the scale has settled
-        shape = _nearer(shape, way, profile, limits, options)
+        shape = _nearer(shape, way, profile, limits, options, factor)
     # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
     if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
         raise CannotDo(
             "too-slow",
-            f"axis {name}: {way} pulses in {wanted_s:.6g} s is slower than the unit can; the longest that it "
-            f"can take within ramps of {RAMP_MAX_MS} ms and its start speeds is {shape.duration_s:.6g} s",
-            f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
+            f"axis {name}: {way} pulses in {profile.duration_s:.6g} s is slower than the unit can; the longest that it "
+            f"can take within ramps of {RAMP_MAX_MS} ms and its start speeds is {shape.duration_s / factor:.6g} s",
+            f"plan {shape.duration_s / factor:.6g} s or less, or lower `start_rate.min`",
         )
     return replace(move, shape=shape)
 
 
-def _nearer(one: Trapezoid, way: int, profile: Profile, limits: Bounds, options: Options) -> Trapezoid | Pair:
+def _nearer(
+    one: Trapezoid, way: int, profile: Profile, limits: Bounds, options: Options, factor: float
+) -> Trapezoid | Pair:
     """One move, or two where that is off the planned duration; of those that take it, the one that keeps nearest to the
     plan."""
+    wanted_s = profile.duration_s * factor
 
     def off_s(shape: Trapezoid | Pair) -> float:
-        return abs(shape.duration_s - profile.duration_s)
+        return abs(shape.duration_s - wanted_s)
 
     if off_s(one) <= _ONE_S:
         return one
-    found = pairs(way, profile.duration_s, limits, options.handover_us * 1e-6)
-    two = min(found, key=lambda each: path_error_counts(profile, each.legs), default=None)
+    found = pairs(way, wanted_s, limits, options.handover_us * 1e-6)
+    two = min(found, key=lambda each: path_error_counts(profile, in_host_time(each.legs, factor)), default=None)
     return one if two is None or off_s(two) >= off_s(one) else two
 
 
-def _path_error(profile: Profile, move: AxisMove) -> float:
-    return 0.0 if move.shape is None else path_error_counts(profile, move.shape.legs)
+def _path_error(profile: Profile, move: AxisMove, factor: float) -> float:
+    return 0.0 if move.shape is None else path_error_counts(profile, in_host_time(move.shape.legs, factor))

@@ -2,37 +2,41 @@
 
 import asyncio
 from collections.abc import Mapping
-from math import ceil, floor
 
 from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
 from adapters.shrc203.axes import letter
+from adapters.shrc203.ending import Ending
 from adapters.shrc203.loaded import Move
 from adapters.shrc203.lowering import AxisMove, ShrcLowered
 from adapters.shrc203.options import Options
 from adapters.shrc203.output import DrivenOutput
-from adapters.shrc203.pair import Pair
 from adapters.shrc203.replies import REFUSALS, STATUS, amounts, entries, status
 from adapters.shrc203.second import astray, load_second
 from adapters.shrc203.session import EOL, Session
 from adapters.shrc203.standby import COMPLETION_LATE_NS, Standby
 from adapters.shrc203.status import ERRORS, UNSETTLED, why_stopped
+from adapters.shrc203.timing import Timing
+from adapters.shrc203.timing import timing as timing_of
 from adapters.shrc203.unitstate import UnitState
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.unread import UnreadClock
 
 _LOOK_NS = 50 * NS_PER_MS
 _QUIET_NS = 60 * NS_PER_MS  # nothing is asked so shortly before T0
 _OK_CHARACTERS = len("OK\r\n")
-_DIGIT_CHARACTERS = len("1\r\n")
 
 
 class Mover:
     """Arms, starts and follows moves of one connection. settle_ns: how long axes may stay BUSY after their end."""
 
-    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState, settle_ns: int) -> None:
+    def __init__(
+        self, options: Options, clock: Clock, firer: Firer, unit: UnitState, crystal: UnreadClock, settle_ns: int
+    ) -> None:
         self._options = options
         self._clock = clock
         self._firer = firer
         self._unit = unit
+        self._ending = Ending(unit.session, clock, crystal)
         self._settle_ns = settle_ns
         self._standby = Standby(unit, clock)
         self._output: DrivenOutput | None = None  # the last one that a step drove
@@ -110,7 +114,7 @@ class Mover:
 
     async def go(self) -> None:
         """Have the starting line, or the one that switches the output, written so that its end is at the unit
-        `decode_us` before T0; both are written at once. Axes that wait for an input need nothing more."""
+        `lead_ns` before T0; both are written at once. Axes that wait for an input need nothing more."""
         move = self._require()
         lines = [move.lowered.start] if move.lowered.moves and not move.waits else []
         if move.output is not None:
@@ -123,7 +127,7 @@ class Mover:
 
     def _schedule(self, move: Move, lines: list[str]) -> None:
         data = "".join(line + EOL for line in lines).encode()
-        at_ns = move.t0_ns - self._session.wire_ns(len(lines[0] + EOL)) - self._options.decode_us * NS_PER_US
+        at_ns = move.t0_ns - self._session.wire_ns(len(lines[0] + EOL)) - move.lowered.lead_ns
         latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
@@ -260,7 +264,7 @@ class Mover:
                 raise DriverFault(
                     "not-started", f"the controller answered NG to {move.lowered.start!r}", "look at its display"
                 )
-            latest_ns = line.at_ns - self._session.wire_ns(_OK_CHARACTERS)
+            latest_ns = move.answered_ns = line.at_ns - self._session.wire_ns(_OK_CHARACTERS)
         latest_ns += self._options.start_after_ok_us * NS_PER_US
         return Span(min(earliest_ns, latest_ns), latest_ns)
 
@@ -326,10 +330,21 @@ class Mover:
             return await self._nothing_moved(move)
         session = self._session
         unloaded = await self._load_second(move) if move.lowered.seconds else ""
-        longest_s = max(move.lowered.durations_s.values())
-        look_ns = move.started.latest_ns + self._slow_ns(longest_s) + COMPLETION_LATE_NS
+        timing = self._unit.timing = timing_of(move.lowered, move.started, self._unit.closed_loop, session)
+        try:
+            return await self._followed(move, timing, unloaded)
+        finally:
+            self._unit.timing = None
+
+    async def _followed(self, move: Move, timing: Timing | None, unloaded: str) -> Outcome:
+        assert move.started is not None
+        session = self._session
+        look_ns = move.started.latest_ns + max(self._ending.took_ns(each)[1] for each in move.lowered.moves)
+        look_ns += COMPLETION_LATE_NS
         give_up_ns = look_ns + self._settle_ns
         self._put_back_early(move)
+        if timing is not None:
+            await self._ending.look_closely(move, timing)
         while session.owed:
             await session.wait_changed(look_ns)
             self._put_back_early(move)
@@ -344,6 +359,8 @@ class Mover:
         ended = {
             name: Span(move.t0_ns, move.t0_ns) for name, seconds in move.lowered.durations_s.items() if seconds == 0.0
         }
+        if timing is not None and not unloaded:
+            self._ending.learn(move, timing, completed.get(timing.axis.motor), rest_ns)
         reasons = [unloaded] if unloaded else []
         error = bool(unloaded)
         for each in move.lowered.moves:
@@ -358,7 +375,7 @@ class Mover:
                 reasons.append(why_stopped(each.name, now) or astray(each, now.counts))
             # The standby may have had a completion line of its own: there only the look at the unit counts.
             said_ns = None if move.waits else completed.get(each.motor)
-            ended[each.name] = self._end(move, each, said_ns, rest_ns, arrived)
+            ended[each.name] = self._ending.span(move, each, said_ns, rest_ns, arrived)
         wrong = await move.output.passive() if move.output is not None else ""
         error = error or bool(wrong)
         reasons += [wrong] if wrong else []
@@ -405,30 +422,9 @@ class Mover:
             return
         assert move.started is not None
         for each in move.lowered.moves:
-            ended_ns = move.started.earliest_ns + self._quick_ns(move, each)
+            ended_ns = move.started.earliest_ns + self._ending.took_ns(each)[0]
             if self._session.completed.get(each.motor, ended_ns) < ended_ns:
                 self._session.owe_again(each.motor)
-
-    def _end(self, move: Move, axis: AxisMove, completed_ns: int | None, rest_ns: int, arrived: bool) -> Span:
-        """When an axis ended. By its start and its duration, as far as the unit's crystal may be wrong; and before
-        its completion line (or the reply that showed it at rest) can have begun to be sent."""
-        assert move.started is not None
-        seen_ns = rest_ns if completed_ns is None else completed_ns - self._session.wire_ns(_DIGIT_CHARACTERS)
-        if not arrived:
-            return Span(min(move.started.earliest_ns, seen_ns), seen_ns)
-        earliest_ns, latest_ns = move.started.earliest_ns + self._quick_ns(move, axis), seen_ns
-        if not isinstance(axis.shape, Pair):  # how long the unit takes between two moves is not guaranteed
-            latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(move.lowered.durations_s[axis.name]))
-        return Span(min(earliest_ns, latest_ns), latest_ns)
-
-    def _quick_ns(self, move: Move, axis: AxisMove) -> int:
-        """The duration of an axis's move by the quickest crystal, and without a pause between two moves."""
-        gap_s = axis.shape.gap_s if isinstance(axis.shape, Pair) else 0.0
-        return floor((move.lowered.durations_s[axis.name] - gap_s) * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
-
-    def _slow_ns(self, duration_s: float) -> int:
-        """A duration by the slowest crystal."""
-        return ceil(duration_s * NS_PER_S * (1 + self._options.clock_ppm * 1e-6))
 
     async def _at_rest(self, move: Move) -> bool:
         line = await self._session.ask_line("Q:SPC", STATUS)

@@ -4,6 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.latency import Latency
+from orchestrator.clock.unread import UnreadClock
+
 Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 
 
@@ -25,7 +29,13 @@ class Options(BaseModel):
     cw: Literal["forward", "reverse"] = Field(
         default="forward", description="Which end the CW limit sensor is at; the manual does not say."
     )
-    clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the unit's crystal.")
+    rate_ppm: float = Field(
+        default=0.0,
+        ge=-10_000,
+        le=10_000,
+        description="How much faster the unit's crystal is than the host's, measured; learned from moves beyond that.",
+    )
+    clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the crystal beside that.")
     fire_early_us: Micro = Field(default=0, description="How much too early the starting line may be written.")
     fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")
     wire_jitter_us: Micro = Field(
@@ -46,3 +56,10 @@ class Options(BaseModel):
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for a motion that it has found."
     )
+
+    def unread_clock(self) -> UnreadClock:
+        """What is assumed of the unit's crystal, and of the time from the end of a starting line to the motion."""
+        least_us = max(0, self.decode_us - self.decode_spread_us)  # nothing is decoded in less than no time
+        most_us = self.decode_us + self.decode_spread_us + self.wire_jitter_us
+        start = Latency(self.decode_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
+        return UnreadClock(self.rate_ppm, self.clock_ppm, start)

@@ -36,6 +36,8 @@ class Poller:
         restarted = await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]
         line = await session.ask_line("Q:SPC", STATUS)
         now = status(line.text, unit.controllable)
+        if unit.timing is not None:
+            unit.timing.looked("Q:SPC", line, now)
         actual = now
         if any(unit.closed_loop.values()):
             scales = status(await session.ask("Q:SPE", STATUS), unit.controllable)

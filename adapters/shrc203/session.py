@@ -8,7 +8,7 @@ their replies have their place in the same queue.
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adapters.contract import CannotDo, DriverFault
 from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, Form, refusal
@@ -25,10 +25,12 @@ _TRIES = 3
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line as it came. at_ns: host time when its end was taken from the operating system."""
+    """A line as it came. at_ns: host time when its end was taken from the operating system. asked_ns: when what it
+    answers was written, 0 for what nobody has asked."""
 
     text: str
     at_ns: int
+    asked_ns: int = 0
 
 
 class Pending:
@@ -45,7 +47,7 @@ class Pending:
         if self.timer is not None:
             self.timer.cancel()
         if self.reply is not None and not self.reply.done():
-            self.reply.set_result(line)
+            self.reply.set_result(replace(line, asked_ns=self.written_ns))
 
     def fail(self, error: Exception) -> None:
         if self.timer is not None:
@@ -108,6 +110,15 @@ class Session:
         """The reply to a query that is refused when there is nothing to tell; None then."""
         line = await self._exchange(command, form)
         return None if line.text in REFUSALS else line.text
+
+    async def try_to_ask(self, command: str, form: Form) -> Line | None:
+        """The reply to a query that is not worth asking twice; None when it goes wrong."""
+        try:
+            line = await self._exchange(command, form)
+        except DriverFault:
+            self._astray = True
+            return None
+        return None if line.text in REFUSALS else line
 
     async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
         """Give a setting. Raises `CannotDo` when the controller refuses it.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from adapters.contract import CannotDo
 from adapters.shrc203.buffers import Buffers
 from adapters.shrc203.session import Session
+from adapters.shrc203.timing import Timing
 from orchestrator.link.base import LinkClosed
 
 
@@ -21,7 +22,7 @@ class UnitState:
     by_hand: motors that were last set going by a jog, which sends no completion line. restarts: noticed so far.
     waiting: motors in standby for an input, as far as is known, with the pulses where they stand. line_starts: whether
     the unit takes such standbys. outputs: value of all outputs as last read or written; driving: a step switches one.
-    chaining: a chain of moves is loaded or under way.
+    chaining: a chain of moves is loaded or under way. timing: what is seen of the move that is under way.
     """
 
     session: Session
@@ -39,6 +40,7 @@ class UnitState:
     outputs: int = 0
     driving: bool = False
     chaining: bool = False
+    timing: Timing | None = None
     _stops_given: Counter[int] = field(default_factory=Counter[int])
 
     @property

@@ -22,6 +22,8 @@ from orchestrator.clock.rate import CrystalRate, Gate, Measure
 
 BEFORE_END_NS = 20 * NS_PER_MS
 """So long before a move can have ended it is asked, again and again, whether it has."""
+LONG_S = 5.0
+"""The end of a shorter move is not worth asking for: a millisecond is more than a crystal's error in it."""
 _MOST = 256
 """Readings that are compared with each other."""
 _STRETCHES = 48

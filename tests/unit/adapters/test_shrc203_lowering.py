@@ -27,7 +27,9 @@ def controller(**axis: Any) -> Controller:
 
 
 def wire(options: Options, char_ns: int) -> Wire:
-    return Wire(char_ns, True, costs(options, char_ns), costs(options, char_ns, line=True))
+    return Wire(
+        char_ns, True, costs(options, char_ns), costs(options, char_ns, line=True), options.unread_clock().known(0)
+    )
 
 
 def lowered(config: Controller, profile: Profile) -> ShrcLowered:

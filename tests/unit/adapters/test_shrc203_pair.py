@@ -137,7 +137,7 @@ def test_of_all_pairs_that_take_the_time_the_nearest_to_the_plan_is_taken() -> N
 def test_one_move_is_preferred_and_where_the_scale_has_to_settle_there_is_no_other() -> None:
     config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), Options()
     open_loop = wire(options, 260_000)
-    closed_loop = Wire(260_000, True, open_loop.costs, open_loop.line_costs, frozenset({1}))
+    closed_loop = Wire(260_000, True, open_loop.costs, open_loop.line_costs, open_loop.known, frozenset({1}))
     for duration_s, length in ((6.2, 1), (SLOW_S, 2)):
         profile = planned({"x": 0}, {"x": 612}, duration_s)["x"]
         made = lower(config, options, open_loop, {"x": profile}, StartWay())
