@@ -126,7 +126,7 @@ class VirtualFleet:
                     states = await client.status()
                     if len(states) == len(self.fleet.controllers) and holds(states):
                         return states
-                    await sleep_ns(self.clock, 20 * NS_PER_MS)
+                    await sleep_ns(self.clock, 50 * NS_PER_MS)
         except TimeoutError:
             shown = {name: (state.mode, state.epoch, state.faults) for name, state in states.items()}
             raise TimeoutError(f"after {limit_s} s the states are {shown}") from None

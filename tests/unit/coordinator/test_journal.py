@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.coordinator.journal import Again, Journal, JournalError
+from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken
 from orchestrator.coordinator.journal_schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse
 from orchestrator.model.job import Job
@@ -98,6 +98,22 @@ def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
     assert journal.transitions("4") == []
     assert journal.accept("4", "k4", JOB, utc(12)) == ("4", True)
     assert journal.prune(utc(30), keep=1000) == 0
+
+
+def test_what_has_ended_stays_so_and_an_older_reign_is_over() -> None:
+    journal = Journal(":memory:")
+    epoch = journal.take_epoch(0)
+    journal.accept("1", "k1", JOB, utc(1))
+    end(journal, "1")
+    with pytest.raises(HasEnded, match="job 1 is done already"):
+        end(journal, "1", "failed")
+    with pytest.raises(HasEnded):
+        journal.decide("1", 0, epoch, 1, "gantry", utc(2))
+    assert journal.decisions("1") == [] and [each.state for each in journal.transitions("1")][-1] == "done"
+    journal.require_reign(epoch)
+    journal.take_epoch(0)
+    with pytest.raises(Overtaken, match="epoch 1 is over"):
+        journal.require_reign(epoch)
 
 
 @pytest.mark.parametrize("version", range(1, VERSION))
