@@ -56,6 +56,8 @@ class PpSmcDriver(Driver):
         self._enabled: set[str] = set(setup.config.axes)
         # Known beyond a connection: the token that the unit held last.
         self._token = 0
+        # So is the crystal.
+        self._crystal = options.unread_clock()
 
     # Meeting the unit
 
@@ -69,7 +71,7 @@ class PpSmcDriver(Driver):
         unit = self._unit = UnitState(session, stopper, self._config, slow_ns, enabled=self._enabled)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _STOP_RAMP_NS
-        self._mover = Mover(options, self._clock, self._setup.firer, unit, settle_ns)
+        self._mover = Mover(options, self._clock, self._setup.firer, unit, self._crystal, settle_ns)
         self._poller = Poller(self._config, options, unit)
         self._jogging = Jogging(self._config, self._clock, unit, self._mover)
         await stopper.open()
@@ -101,6 +103,7 @@ class PpSmcDriver(Driver):
         self._token = unit.session.token
         if reading.restarted:
             self._moving().forget()
+            self._crystal.forget()
             unit.profiles.clear()
             unit.introduced = False
         resting = not any(axis.moving for axis in reading.axes.values())
@@ -114,7 +117,8 @@ class PpSmcDriver(Driver):
     # A step
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
-        return lower(self._config, self._options, self._char_ns, self._installed, profiles, how)
+        known = self._crystal.known(self._clock.now_ns())
+        return lower(self._config, self._options, self._char_ns, self._installed, known, profiles, how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, SmcLowered)

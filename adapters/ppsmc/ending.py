@@ -1,15 +1,17 @@
 """How a started move ends: watched until its axes are at rest, and judged by all that the unit says."""
 
 from collections.abc import Mapping
-from math import ceil, floor
 
 from adapters.contract import Outcome, Span
 from adapters.ppsmc.lowering import AxisMove
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.replies import Bits
 from adapters.ppsmc.step import Move
+from adapters.ppsmc.timing import Timing
+from adapters.ppsmc.timing import timing as timing_of
 from adapters.ppsmc.unitstate import Look, UnitState
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.unread import UnreadClock
 
 _LOOK_NS = 50 * NS_PER_MS
 _LOOK_SOON_NS = 5 * NS_PER_MS
@@ -18,10 +20,12 @@ _LAG_NS = 500 * NS_PER_MS
 
 
 class Ending:
-    """Ends of moves of one connection. settle_ns: how long axes may move after their due end."""
+    """Ends of moves of one connection. crystal: what is known of it, and learned from the moves. settle_ns: how long
+    axes may move after their due end."""
 
-    def __init__(self, options: Options, clock: Clock, unit: UnitState, settle_ns: int) -> None:
-        self._options = options
+    def __init__(self, options: Options, clock: Clock, unit: UnitState, crystal: UnreadClock, settle_ns: int) -> None:
+        self._quick_ns = options.decode_ns[0]
+        self._crystal = crystal
         self._clock = clock
         self._unit = unit
         self._settle_ns = settle_ns
@@ -29,8 +33,16 @@ class Ending:
     async def watched(self, move: Move) -> Outcome:
         """Wait until the axes of a move that has started are at rest, and say how they ended."""
         assert move.started is not None
-        longest_s = max(move.lowered.durations_s.values())
-        due_ns = move.started.latest_ns + self._slow_ns(longest_s)
+        timing = timing_of(move.lowered, move.started, self._unit.closed, self._quick_ns)
+        self._unit.watched = None if timing is None else timing.looked
+        try:
+            return await self._watched(move, timing)
+        finally:
+            self._unit.watched = None
+
+    async def _watched(self, move: Move, timing: Timing | None) -> Outcome:
+        assert move.started is not None
+        due_ns = move.started.latest_ns + max(self._took_ns(each)[1] for each in move.lowered.moves)
         give_up_ns = due_ns + _LAG_NS + self._settle_ns
         seen: dict[int, int] = {}
         while True:
@@ -44,6 +56,10 @@ class Ending:
                 break
             await self._pause(move, seen)
         reasons, error = await self._judge(move, look)
+        if timing is not None and not reasons:
+            timing.ended(seen[timing.axis.motor])
+            # What shows the start is the answer to a second question, which says nothing of the time to it.
+            self._crystal.learn(timing.timed, self._arrived_ns(move), None, self._clock.now_ns())
         ended = {name: Span(move.t0_ns, move.t0_ns) for name, s in move.lowered.durations_s.items() if s == 0.0}
         for each in move.lowered.moves:
             ended[each.name] = self._end(move, each, seen.get(each.motor, look.at_ns), look)
@@ -70,9 +86,7 @@ class Ending:
         assert move.started is not None
         now_ns = self._clock.now_ns()
         dues = [
-            move.started.earliest_ns + floor(move.lowered.durations_s[each.name] * NS_PER_S)
-            for each in move.lowered.moves
-            if each.motor not in seen
+            move.started.earliest_ns + self._took_ns(each)[0] for each in move.lowered.moves if each.motor not in seen
         ]
         soon = any(due - _LOOK_NS < now_ns < due + _LOOK_NS for due in dues)
         await sleep_ns(self._clock, _LOOK_SOON_NS if soon else _LOOK_NS)
@@ -107,13 +121,18 @@ class Ending:
         assert move.started is not None
         if look.counts[axis.motor] != axis.end_counts:
             return Span(min(move.started.earliest_ns, seen_ns), seen_ns)
-        duration_s = move.lowered.durations_s[axis.name]
-        earliest_ns = move.started.earliest_ns + floor(duration_s * NS_PER_S * (1 - self._options.clock_ppm * 1e-6))
+        least_ns, most_ns = self._took_ns(axis)
         latest_ns = seen_ns
         if axis.motor not in self._unit.closed:
-            latest_ns = min(seen_ns, move.started.latest_ns + self._slow_ns(duration_s))
-        return Span(min(earliest_ns, latest_ns), latest_ns)
+            latest_ns = min(seen_ns, move.started.latest_ns + most_ns)
+        return Span(min(move.started.earliest_ns + least_ns, latest_ns), latest_ns)
 
-    def _slow_ns(self, duration_s: float) -> int:
-        """A duration by the slowest crystal."""
-        return ceil(duration_s * NS_PER_S * (1 + self._options.clock_ppm * 1e-6))
+    def _took_ns(self, axis: AxisMove) -> tuple[int, int]:
+        """What an axis's move takes by all that is known of the crystal, least and most."""
+        assert axis.shape is not None
+        return self._crystal.rate.took_ns(axis.shape.duration_s, self._clock.now_ns())
+
+    def _arrived_ns(self, move: Move) -> int:
+        """The earliest instant at which the starting line was at the unit."""
+        assert move.started is not None
+        return move.started.earliest_ns - self._quick_ns

@@ -75,6 +75,12 @@ def steps(text: str, gear: Fraction) -> int:
     return round(Fraction(text) * gear)
 
 
+def grain(text: str, gear: Fraction) -> float:
+    """How close that is, in steps: by its last decimal, and by the rounding to a step."""
+    decimals = len(text.partition(".")[2])
+    return 1.0 + float(gear) * 0.1**decimals
+
+
 def limit_of(state: int) -> Literal["none", "forward", "reverse", "both"]:
     """The limit switches in the bits of ?s."""
     forward, reverse = bool(state & Bits.LIMIT_FORWARD), bool(state & Bits.LIMIT_REVERSE)

@@ -6,6 +6,7 @@ from math import ceil
 from adapters import points
 from adapters.ppsmc.options import Options
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.latency import Latency
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, LineWait, Term
 
@@ -65,14 +66,13 @@ def driven(config: Controller, drive: LineDrive) -> Drive:
     return Drive(drive.output, point.number, point.active == "high", drive.hold_ns)
 
 
-def starting_terms(options: Options, program: bool) -> tuple[Term, ...]:
+def starting_terms(options: Options, start: Latency, program: bool) -> tuple[Term, ...]:
     """Where a start by the host lies about T0: the line is written so that it is usually executed at T0.
 
     program: it starts a program, whose axes move after its output has been switched.
     """
-    early = min(options.decode_spread_us, options.decode_us)  # nothing is decoded in less than no time
-    late = options.decode_spread_us + options.start_skew_us + (options.line_start_us if program else 0)
-    return (*_sent(options), _firmware(-early, late))
+    last_ns = start.latest_ns - (options.wire_jitter_us - (options.line_start_us if program else 0)) * NS_PER_US
+    return (*_sent(options), _firmware(start.earliest_ns - start.usual_ns, last_ns - start.usual_ns))
 
 
 def waiting_terms(options: Options, wait: Wait) -> tuple[Term, ...]:
@@ -81,14 +81,15 @@ def waiting_terms(options: Options, wait: Wait) -> tuple[Term, ...]:
     return (
         Term(name="line", earliest_ns=wait.earliest_ns, latest_ns=wait.latest_ns),
         Term(name="input", earliest_ns=0, latest_ns=scan_ns),
-        _firmware(0, options.line_start_us + options.start_skew_us),
+        _firmware(0, (options.line_start_us + options.start_skew_us) * NS_PER_US),
     )
 
 
-def edge_terms(options: Options) -> tuple[Term, ...]:
+def edge_terms(options: Options, start: Latency) -> tuple[Term, ...]:
     """Where the edge of a driven line lies about T0."""
-    early = min(options.decode_spread_us, options.decode_us)
-    return (*_sent(options), _firmware(-early, options.decode_spread_us + options.line_start_us))
+    quick_ns, slow_ns = options.decode_ns
+    last_ns = slow_ns + options.line_start_us * NS_PER_US
+    return (*_sent(options), _firmware(quick_ns - start.usual_ns, last_ns - start.usual_ns))
 
 
 def _sent(options: Options) -> tuple[Term, ...]:
@@ -98,5 +99,5 @@ def _sent(options: Options) -> tuple[Term, ...]:
     )
 
 
-def _firmware(early_us: int, late_us: int) -> Term:
-    return Term(name="firmware", earliest_ns=early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
+def _firmware(first_ns: int, last_ns: int) -> Term:
+    return Term(name="firmware", earliest_ns=first_ns, latest_ns=last_ns)

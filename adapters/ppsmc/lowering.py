@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, Lowered, require_how
-from adapters.patherror import path_error_counts
+from adapters.patherror import in_host_time, path_error_counts
 from adapters.ppsmc.costs import costs
 from adapters.ppsmc.fleetaxes import bounds, motor
 from adapters.ppsmc.lines import Drive, Wait, driven, edge_terms, starting_terms, waited_for, waiting_terms
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.trapezoid import POSITION_MAX, Trapezoid, fit
+from orchestrator.clock.unread import KnownClock
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -41,8 +42,10 @@ class AxisMove:
 
 @dataclass(frozen=True, slots=True)
 class SmcLowered(Lowered):
-    """What `arm` needs: the moves, and the lines by wire."""
+    """What `arm` needs: the moves, and the lines by wire. lead_ns: the end of the line that is fired is at the unit so
+    long before T0."""
 
+    lead_ns: int = 0
     moves: tuple[AxisMove, ...] = ()
     wait: Wait | None = None
     drive: Drive | None = None
@@ -59,29 +62,37 @@ class SmcLowered(Lowered):
 
 
 def lower(
-    config: Controller, options: Options, char_ns: int, installed: int, profiles: Mapping[str, Profile], how: StartWay
+    config: Controller,
+    options: Options,
+    char_ns: int,
+    installed: int,
+    known: KnownClock,
+    profiles: Mapping[str, Profile],
+    how: StartWay,
 ) -> SmcLowered:
-    """Lower all axes of a step. installed: axes of the unit. Raises `CannotDo`."""
+    """Lower all axes of a step. installed: axes of the unit; known: of its clock. Raises `CannotDo`."""
     if how.wait is not None and options.io_port:
         require_how(how, ("host", "line"), "")
     else:
         require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
-    moves = _together(config, options, profiles)
+    rate, start = known.rate.factor, known.latency
+    moves = _together(config, rate, profiles)
     running = tuple(each for each in moves if each.shape is not None)
-    rate = 1 + options.rate_ppm * 1e-6
+    durations_s = {each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves}
     ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
     return SmcLowered(
         start_class="host" if wait is None else "line",
-        durations_s={each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves},
+        durations_s=durations_s,
         path_error_counts={each.name: _path_error(profiles[each.name], each, rate) for each in moves},
-        terms=starting_terms(options, drive is not None) if wait is None else waiting_terms(options, wait),
+        terms=starting_terms(options, start, drive is not None) if wait is None else waiting_terms(options, wait),
         tick_ns=0.0,
-        clock_ppm=options.clock_ppm,
+        clock_ppm=known.clock_ppm(max(durations_s.values(), default=0.0)),
         costs=costs(options, char_ns, installed, ramps_s, wait is not None),
         commands=_shown(running, wait, drive),
-        edge=() if drive is None else edge_terms(options),
+        edge=() if drive is None else edge_terms(options, start),
+        lead_ns=start.usual_ns,
         moves=running,
         wait=wait,
         drive=drive,
@@ -101,20 +112,20 @@ def _shown(running: tuple[AxisMove, ...], wait: Wait | None, drive: Drive | None
     return (first, *moving, "nl", "end", "start:")
 
 
-def _together(config: Controller, options: Options, profiles: Mapping[str, Profile]) -> list[AxisMove]:
+def _together(config: Controller, rate: float, profiles: Mapping[str, Profile]) -> list[AxisMove]:
     """The moves, by axis number. Slow axes of one unit have only some durations, each its own: where that of one is
     longer, the others are asked for it as well, so that the unit answers with one that all its axes have, if there
-    is one near."""
+    is one near. rate: seconds of the unit's crystal in one of the host's."""
 
     def stretched(factor: float) -> list[AxisMove]:
-        moves = [_move(name, config.axes[name], each, options, factor) for name, each in profiles.items()]
+        moves = [_move(name, config.axes[name], each, rate, factor) for name, each in profiles.items()]
         return sorted(moves, key=lambda each: each.motor)
 
     first = moves = stretched(1.0)
     planned_s = [each.duration_s for each in profiles.values() if each.start_counts != each.end_counts]
     if len(planned_s) < 2 or max(planned_s) - min(planned_s) > _ALIKE_S:
         return first
-    wanted_s = planned_s[0] * (1 + options.rate_ppm * 1e-6)
+    wanted_s = planned_s[0] * rate
     for _ in range(_FITS // len(planned_s)):
         durations_s = [each.shape.duration_s for each in moves if each.shape is not None]
         if max(durations_s) - min(durations_s) <= _ALIKE_S:
@@ -126,7 +137,7 @@ def _together(config: Controller, options: Options, profiles: Mapping[str, Profi
     return first
 
 
-def _move(name: str, axis: Axis, profile: Profile, options: Options, factor: float) -> AxisMove:
+def _move(name: str, axis: Axis, profile: Profile, rate: float, factor: float) -> AxisMove:
     """One axis's part, in `factor` times the planned duration. Raises `CannotDo`."""
     if any(profile.jerks):
         raise CannotDo("jerk", f"axis {name}: the SMC can not limit jerk", "leave `jerk` out of the axis's limits")
@@ -139,7 +150,7 @@ def _move(name: str, axis: Axis, profile: Profile, options: Options, factor: flo
             f"axis {name}: a move to {profile.end_counts} steps is beyond the counter's {POSITION_MAX}",
             "move less far, or give the place another coordinate at the unit",
         )
-    limits, wanted_s = bounds(axis), profile.duration_s * (1 + options.rate_ppm * 1e-6) * factor
+    limits, wanted_s = bounds(axis), profile.duration_s * rate * factor
     shape = fit(abs(distance), wanted_s, profile.peak_acceleration / factor**2, limits)
     if shape is None:
         raise CannotDo(
@@ -160,7 +171,4 @@ def _move(name: str, axis: Axis, profile: Profile, options: Options, factor: flo
 
 def _path_error(profile: Profile, move: AxisMove, rate: float) -> float:
     """rate: of the unit's crystal against the host's."""
-    if move.shape is None:
-        return 0.0
-    legs = ((each.duration_s / rate, each.speed * rate, each.acceleration * rate * rate) for each in move.shape.legs)
-    return path_error_counts(profile, legs)
+    return 0.0 if move.shape is None else path_error_counts(profile, in_host_time(move.shape.legs, rate))

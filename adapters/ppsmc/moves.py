@@ -23,6 +23,7 @@ from adapters.ppsmc.session import EOL, Pending, Session, refusal
 from adapters.ppsmc.step import Move
 from adapters.ppsmc.unitstate import Look, UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.unread import UnreadClock
 
 _LOOK_SOON_NS = 5 * NS_PER_MS
 # Status bits may still say ready for a moment after a start, as a client of real units has found.
@@ -32,12 +33,14 @@ _LAG_NS = 500 * NS_PER_MS
 class Mover:
     """Arms, starts and follows moves of one connection. settle_ns: how long axes may move after their due end."""
 
-    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState, settle_ns: int) -> None:
+    def __init__(
+        self, options: Options, clock: Clock, firer: Firer, unit: UnitState, crystal: UnreadClock, settle_ns: int
+    ) -> None:
         self._options = options
         self._clock = clock
         self._firer = firer
         self._unit = unit
-        self._ending = Ending(options, clock, unit, settle_ns)
+        self._ending = Ending(options, clock, unit, crystal, settle_ns)
         self._output: DrivenOutput | None = None  # the last one that a step drove
         self.move: Move | None = None
 
@@ -152,7 +155,7 @@ class Mover:
             )
 
     def _schedule(self, move: Move, line: str) -> None:
-        at_ns = move.t0_ns - self._session.wire_ns(len(line + EOL)) - self._options.decode_us * NS_PER_US
+        at_ns = move.t0_ns - self._session.wire_ns(len(line + EOL)) - move.lowered.lead_ns
         latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")

@@ -4,6 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.latency import Latency
+from orchestrator.clock.unread import UnreadClock
 from orchestrator.model.base import Id
 
 Micro = Annotated[int, Field(ge=0, le=1_000_000)]
@@ -35,7 +38,7 @@ class Options(BaseModel):
         default=0.0,
         ge=-10_000,
         le=10_000,
-        description="How much faster the unit's crystal is than the host's, measured.",
+        description="How much faster the unit's crystal is than the host's, measured; learned from moves beyond that.",
     )
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the crystal beside that.")
     fire_early_us: Micro = Field(default=0, description="How much too early the starting line may be written.")
@@ -55,6 +58,12 @@ class Options(BaseModel):
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long connecting waits for a motion or program that it has found."
     )
+
+    def unread_clock(self) -> UnreadClock:
+        """What is assumed of the unit's crystal, and of the time from the end of a starting line to the motion."""
+        quick_ns, slow_ns = self.decode_ns
+        most_ns = slow_ns + (self.start_skew_us + self.wire_jitter_us) * NS_PER_US
+        return UnreadClock(self.rate_ppm, self.clock_ppm, Latency(self.decode_us * NS_PER_US, quick_ns, most_ns))
 
     @property
     def decode_ns(self) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -18,11 +18,13 @@ from orchestrator.model.fleet import Controller
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One look at all axes of the unit, by number. counts: None while an axis oscillates. at_ns: when the answer had
+    """One look at all axes of the unit, by number. counts: None while an axis oscillates; to within
+    `grains` steps, by the decimals that were told. at_ns: when the answer had
     come. begun_ns: when it was asked."""
 
     bits: Mapping[int, int]
     counts: Mapping[int, int | None]
+    grains: Mapping[int, float]
     begun_ns: int
     at_ns: int
 
@@ -56,7 +58,7 @@ class UnitState:
     since the last search. spoiled: axes that a limit switch has stopped, whose position is not valid (L2546).
     loading: held by whoever configures the unit, output_turn: by whoever changes outputs. untidy: a stop or a move may
     have left targets. profiles: what is known to be loaded. introduced: compared with the fleet file. driving: a step
-    switches an output. restarts: noticed so far.
+    switches an output. restarts: noticed so far. watched: told of every look while a move is under way.
     """
 
     session: Session
@@ -77,6 +79,7 @@ class UnitState:
     introduced: bool = False
     driving: bool = False
     restarts: int = 0
+    watched: Callable[[Look], None] | None = None
     installed: int = 0
     _stops_given: Counter[int] = field(default_factory=Counter[int])
 
@@ -100,11 +103,12 @@ class UnitState:
         """What two answers say. Raises `DriverFault` when an axis is missing in them."""
         bits = states(status.text)
         counts: dict[int, int | None] = {}
+        grains: dict[int, float] = {}
         for number, text in entries(positions.text).items():
             distance = number_in(text)
-            counts[number] = (
-                None if distance is None else fleetaxes.steps(distance, self.gears.get(number, Fraction(1)))
-            )
+            gear = self.gears.get(number, Fraction(1))
+            counts[number] = None if distance is None else fleetaxes.steps(distance, gear)
+            grains[number] = 1.0 if distance is None else fleetaxes.grain(distance, gear)
         for motor in fleetaxes.motors(self.config).values():
             if motor not in bits or motor not in counts:
                 raise DriverFault(
@@ -113,7 +117,10 @@ class UnitState:
                     "check cable and ground, and `motors` in the fleet file",
                 )
         self.installed = max(bits)
-        return Look(bits, counts, begun_ns, positions.at_ns)
+        look = Look(bits, counts, grains, begun_ns, positions.at_ns)
+        if self.watched is not None:
+            self.watched(look)
+        return look
 
     async def errors(self) -> dict[int, tuple[int, str]]:
         """Number and text of the last error, by axis."""

@@ -17,9 +17,13 @@ from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
+KNOWN = Options().unread_clock().known(0)
+
 
 def lowered(profile: Profile, options: Options | None = None, **axis: Any) -> SmcLowered:
-    return lower(controller("x", axis=axis), options or Options(), 0, 1, {"x": profile}, StartWay())
+    options = options or Options()
+    known = options.unread_clock().known(0)
+    return lower(controller("x", axis=axis), options, 0, 1, known, {"x": profile}, StartWay())
 
 
 def planned(distance: int, velocity: float, acceleration: float, factor: float = 1.0) -> Profile:
@@ -80,12 +84,14 @@ def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() ->
         moves = [AxisMove(name, 0, draw.randrange(300, 900), 110.0, 5000.0) for name in "xy"]
         plan = plan_step(moves)
         profiles = plan.stretched(draw.uniform(8.2, 12.0)).profiles
-        answered = lower(config, Options(), 0, 2, profiles, StartWay()).durations_s
+        answered = lower(config, Options(), 0, 2, KNOWN, profiles, StartWay()).durations_s
         assert min(answered.values()) > profiles["x"].duration_s - 0.0011
         if max(answered.values()) - min(answered.values()) <= 0.001:
             alike += 1
             factor = max(1.0, max(answered.values()) / profiles["x"].duration_s)
-            again = lower(config, Options(), 0, 2, {n: p.stretched(factor) for n, p in profiles.items()}, StartWay())
+            again = lower(
+                config, Options(), 0, 2, KNOWN, {n: p.stretched(factor) for n, p in profiles.items()}, StartWay()
+            )
             assert all(abs(s - max(answered.values())) < 2e-3 for s in again.durations_s.values())
     assert alike >= 20
 
