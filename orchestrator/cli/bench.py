@@ -1,36 +1,18 @@
 """`tutti bench …`: measurements."""
 
-import tempfile
-from collections.abc import Callable, Coroutine
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from orchestrator.cli.bench_clocks import clock, firing, rates, sync
+from orchestrator.cli.bench_clocks import clock, firing, sync
 from orchestrator.cli.bench_journal import journal
-from orchestrator.cli.common import console, fail, json_option, print_json, run
+from orchestrator.cli.bench_live import dispatch, estop, jog, permit
+from orchestrator.cli.common import console, json_option, print_json
 
 if TYPE_CHECKING:
-    from orchestrator.lab.bench_jog import JogFigures
-    from orchestrator.lab.bench_permit import PermitFigures
+    pass
 
 T = TypeVar("T")
-
-_PANEL = "from orchestrator.cli.main import main; main(prog_name='tutti')"
-
-_WORDS = {
-    "release": "key let go",
-    "killed": "panel killed",
-    "first_motion": "key pressed, to moving",
-    "plain_release": "let go, repeats only",
-    "api_stop": "Hand.stop()",
-    "controllers": "controllers",
-    "poll_ms": "read every, ms",
-    "stopped": "input, to the last axis",
-    "first": "input, to the first axis",
-    "noise": "process woken late by",
-}
 
 
 @click.group(epilog="Example: tutti bench plan --json")
@@ -204,46 +186,6 @@ def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
     console.print("while moving: " + ", ".join(f"{part} {share:.0f} %" for part, share in shares), highlight=False)
 
 
-@bench.command(epilog="Example: tutti bench jog --presses 100 --json")
-@json_option
-@click.option("--presses", default=100, show_default=True, type=click.IntRange(1, 10_000), help="Of a key.")
-@click.option("--kills", default=10, show_default=True, type=click.IntRange(1, 1000), help="Of the panel.")
-def jog(as_json: bool, presses: int, kills: int) -> None:
-    """Time the jog panel on the demo fleet, live with simulated controllers; takes some minutes.
-
-    From a key that is let go, and from a panel that is killed, to the axis slowing down. Beside it: from the press to
-    the first motion, the same on a terminal that reports no releases, and from the Python interface without panel and
-    terminal; and how late this machine wakes a process.
-    """
-    from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_jog import bench_jog
-    from orchestrator.model.files import load_fleet
-
-    def measure(folder: Path) -> "Coroutine[Any, Any, JogFigures]":
-        return bench_jog(load_fleet(EXAMPLES / "demo.fleet.yaml"), folder, _PANEL, presses, kills)
-
-    _show_spreads(_measured(measure), as_json)
-
-
-@bench.command(epilog="Example: tutti bench permit --rounds 20 --json")
-@json_option
-@click.option("--rounds", default=20, show_default=True, type=click.IntRange(1, 1000), help="Losses of the permit.")
-def permit(as_json: bool, rounds: int) -> None:
-    """Time the loss of a permit in a step over eight controllers, live with simulated controllers.
-
-    From the input that changes to the last axis slowing down, against 50 ms and the period at which a moving
-    controller is read; and how late this machine wakes a process.
-    """
-    from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_permit import bench_permit
-    from orchestrator.model.files import load_fleet
-
-    def measure(folder: Path) -> "Coroutine[Any, Any, PermitFigures]":
-        return bench_permit(load_fleet(EXAMPLES / "demo.fleet.yaml").controllers["gantry"], folder, rounds)
-
-    _show_spreads(_measured(measure), as_json)
-
-
 @bench.command(epilog="Example: tutti bench lowering --make smc4000 --json")
 @json_option
 @click.option("--make", default="smc4000", show_default=True, help="Of the controller.")
@@ -305,43 +247,5 @@ def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
     console.print(table)
 
 
-def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
-    """What `measure` finds with a folder of its own; exit 1 when what it waits for does not happen."""
-    from orchestrator.lab.bench_truth import NothingHappened
-
-    async def main() -> T:
-        with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:
-            return await measure(Path(folder))
-
-    try:
-        return run(main())
-    except NothingHappened as error:
-        fail(str(error))
-
-
-def _show_spreads(figures: "JogFigures | PermitFigures", as_json: bool) -> None:
-    """Each spread with what is asked of it; other figures above."""
-    from orchestrator.lab.bench_spread import Spread
-    from orchestrator.monitor.tables import plain_table
-
-    fields = figures._asdict()
-    if as_json:
-        print_json({name: each._asdict() if isinstance(each, Spread) else each for name, each in fields.items()})
-        return
-    table = plain_table(["to slowing down, from", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
-    for name, each in fields.items():
-        words = _WORDS[name]
-        if not isinstance(each, Spread):
-            console.print(f"{words}: {each:g}", highlight=False)
-            continue
-        met = "" if each.met is None else "yes" if each.met else "NO"
-        spans = (f"{ms:.1f}" for ms in (each.p50_ms, each.p99_ms, each.max_ms))
-        table.add_row(words, str(each.n), *spans, each.asked, met)
-    console.print(table)
-
-
-bench.add_command(clock)
-bench.add_command(firing)
-bench.add_command(journal)
-bench.add_command(rates)
-bench.add_command(sync)
+for command in (clock, dispatch, estop, firing, jog, journal, permit, sync):
+    bench.add_command(command)

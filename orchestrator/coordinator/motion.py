@@ -447,6 +447,7 @@ class Motion:
             reason="" if failure is None else failure[1],
             planned_s=moving.plan.duration_s,
             actual_s=actual_s,
+            arming_fleet_ns=moving.arming_fleet_ns,
             t0_fleet_ns=moving.t0_fleet_ns,
             members=reports,
             budget=moving.budget,

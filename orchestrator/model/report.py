@@ -121,6 +121,7 @@ class StepReport(Model):
     reason: str = ""
     planned_s: float | None = None
     actual_s: float | None = None
+    arming_fleet_ns: Int53 | None = None
     t0_fleet_ns: Int53 | None = None
     members: dict[str, MemberReport] = Field(default={})
     budget: Budget | None = None

@@ -1,0 +1,156 @@
+"""From the e-stop's put to the last axis slowing down, live: 16 controllers on TCP, two on serial lines, and the shell.
+
+Half of them move when it comes; in every other round the others are just being armed with contours, so that their
+links are busy with uploads. What happened is told by the simulators' own logs, on one kernel's clock.
+"""
+
+import asyncio
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+from orchestrator.client import Job, SubmittedJob, Tutti
+from orchestrator.clock.live import raw_ns
+from orchestrator.lab.bench_fleet import measured_fleet, run_steps, until
+from orchestrator.lab.bench_spread import Noise, Spread, spread
+from orchestrator.lab.bench_truth import NothingHappened, Truth
+from orchestrator.lab.live import LiveFleet
+from orchestrator.lab.sync_fleets import shrc203, smc2000, smc4000
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import ENDED
+
+CONTROLLERS = 16
+P99_MS, SHELL_MAX_MS = 20.0, 500.0
+MIDDLE, DISTANCE, SPEED = 50.0, 40.0, 0.02  # mm; a step of some ten seconds, of which hardly any is moved
+MOVING_S = (0.1, 0.4)  # from the first motion to the e-stop
+SHELLS = 5
+SEED = 17
+
+
+class EstopFigures(NamedTuple):
+    """last, first: put → the last and the first axis on TCP slows down. uploading: the last, in rounds in which others
+    were being armed. shell: `tutti estop` begins → the last axis of all. Then the axes on serial lines."""
+
+    controllers: int
+    last: Spread
+    uploading: Spread
+    first: Spread
+    shell: Spread
+    smc2000_19200: Spread
+    shrc203_38400: Spread
+    noise: Spread
+
+
+def estop_fleet() -> Fleet:
+    """Half of the controllers plan trapezoids, the other half contours; one of each serial make beside them."""
+    controllers: dict[str, dict[str, Any]] = {}
+    for k in range(CONTROLLERS):
+        plain = smc4000(k)
+        axis = plain["axes"]["x"]
+        jerk = {"jerk": 20_000.0} if k % 2 else {}
+        controllers[f"a{k}"] = {**plain, "inputs": {}, "axes": {"x": {**axis, "limits": {**axis["limits"], **jerk}}}}
+    for name, make in (("b", smc2000), ("c", shrc203)):
+        plain = make(0)
+        controllers[name] = {**plain, "inputs": {}, "link": {**plain["link"], "device": f"/dev/{name}"}}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "estop", "controllers": controllers})
+
+
+async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> EstopFigures:
+    """`rounds` e-stops. command: how the shell calls `tutti`. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    fleet, draw = estop_fleet(), Random(SEED)
+    axes = fleet.axis_names
+    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+        rig = _Rig(live, tutti, draw)
+        await run_steps(tutti, [{"do": "enable", "axes": list(axes)}, {"do": "home"}])
+        await run_steps(tutti, [{"do": "move", "to": dict.fromkeys(axes, MIDDLE / 4)}])
+        tcp: list[list[int]] = []
+        uploading: list[int] = []
+        serial: dict[str, list[int]] = {"b": [], "c": []}
+        for k in range(rounds):
+            slowing = await rig.round(arming=k % 2 == 1)
+            of_tcp = [ns for name, ns in slowing.items() if name not in serial]
+            tcp.append(of_tcp)
+            if k % 2:
+                uploading.append(max(of_tcp))
+            for name, each in serial.items():
+                each.append(slowing[name])
+        shell = [max((await rig.round(arming=False, command=command)).values()) for _ in range(SHELLS)]
+        return EstopFigures(
+            controllers=len(fleet.controllers),
+            last=spread([max(each) for each in tcp], p99_ms=P99_MS),
+            uploading=spread(uploading, p99_ms=P99_MS),
+            first=spread([min(each) for each in tcp]),
+            shell=spread(shell, max_ms=SHELL_MAX_MS),
+            smc2000_19200=spread(serial["b"]),
+            shrc203_38400=spread(serial["c"]),
+            noise=noise.spread(),
+        )
+
+
+class _Rig:
+    """The fleet while it runs."""
+
+    def __init__(self, live: LiveFleet, tutti: Tutti, draw: Random) -> None:
+        self._live = live
+        self._tutti = tutti
+        self._draw = draw
+        self._truths = {name: Truth(live.state / "truth" / f"{name}.jsonl") for name in live.fleet.controllers}
+        self._movers = [name for name in live.fleet.controllers if name in ("b", "c") or int(name[1:]) % 2 == 0]
+        self._others = [name for name in live.fleet.controllers if name not in self._movers]
+        self._way = DISTANCE / 4
+
+    async def round(self, arming: bool, command: Sequence[str] = ()) -> dict[str, int]:
+        """One e-stop; by moving controller, how long it took to slow down, ns. The fleet is ready again afterwards."""
+        began_ns = raw_ns()
+        self._way = -self._way
+        moving = await self._submit(self._movers, SPEED)
+        await asyncio.gather(*(self._truths[name].after("start", began_ns) for name in self._movers))
+        jobs = [moving]
+        if arming:
+            jobs.append(await self._submit(self._others, SPEED))
+            await self._reach(jobs[1], "arming")
+        else:
+            await asyncio.sleep(self._draw.uniform(*MOVING_S))
+        put_ns = raw_ns()
+        if command:
+            subprocess.Popen([*command, "estop", "--connect", self._live.connect], stdout=subprocess.DEVNULL)
+        else:
+            await self._tutti.estop("benchmark", timeout_s=0.0)
+        slowing = await asyncio.gather(*(self._truths[name].after("slowing", put_ns) for name in self._movers))
+        await self._recover(jobs)
+        return {name: ns - put_ns for name, ns in zip(self._movers, slowing, strict=True)}
+
+    async def _submit(self, names: Sequence[str], speed: float) -> SubmittedJob:
+        step = {"do": "move", "by": {f"{name}.x": self._way for name in names}, "speed": speed}
+        plain = {"schema": "tutti.job/1", "name": "estop", "max_start_skew": "200 ms", "max_end_skew": "5 s"}
+        return await self._tutti.submit(Job.model_validate({**plain, "steps": [step]}))
+
+    async def _reach(self, job: SubmittedJob, state: str) -> None:
+        async for event in job.events():
+            if event.state == state:
+                return
+            if event.state in ENDED:
+                raise NothingHappened(f"the job to be armed is {event.state}: {event.reason}")
+
+    async def _recover(self, jobs: Sequence[SubmittedJob]) -> None:
+        """Back to the middle, with the latch released."""
+        for job in jobs:
+            await job.result()
+
+        async def latched() -> bool:
+            return all(each.estop is not None for each in (await self._tutti.status()).values())
+
+        await until(latched, "all are latched")
+
+        async def released() -> bool:
+            await self._tutti.reset()
+            return all(each.estop is None and each.mode == "idle" for each in (await self._tutti.status()).values())
+
+        await until(released, "the e-stop is reset")
+        axes = self._live.fleet.axis_names
+        middle = dict.fromkeys(axes, MIDDLE / 4)
+        await run_steps(
+            self._tutti, [{"do": "enable", "axes": list(axes)}, {"do": "move", "to": middle, "sync": "none"}]
+        )
