@@ -1,13 +1,16 @@
 """What the campaign has found, each by itself: faults that once stopped too little, too late, or too much."""
 
 import asyncio
+from typing import Any
 
+import pytest
 from cluster.test_chain import MOVE as CHAIN_MOVE
 from cluster.test_chain import PREPARE as CHAIN_PREPARE
 from cluster.test_chain import chain_fleet
 from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 
@@ -15,6 +18,34 @@ GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
 BACK = job("[{do: move, to: {gantry.x: 200}, speed: 1}]")
 RAMP_S = 0.2
+
+
+PAIR = {"cia402": {"f1": 1, "f2": 2}, "smc30": {"d1": 1, "d2": 2}}
+
+
+def pair(make: str) -> Fleet:
+    """Two units on one bus."""
+    drafts: dict[str, Any] = {}
+    for name, unit in PAIR[make].items():
+        if make == "smc30":
+            drafts[name] = sync_fleets.smc30(0, unit)
+        else:
+            axis = {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
+            link = {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": unit}
+            drafts[name] = {"adapter": make, "link": link, "axes": {"x": {**axis, "homing": {"method": "37"}}}}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "pair", "controllers": drafts})
+
+
+async def prepared(fleet: VirtualFleet) -> None:
+    names = ", ".join(fleet.controllers)
+    report = await outcome(fleet, job(f"[{{do: enable, axes: [{names}]}}, {{do: home}}]"))
+    assert report.state == "done", report.reason
+
+
+async def running(fleet: VirtualFleet, job_id: str) -> None:
+    """Until all members were told to go; they have not begun."""
+    while (row := fleet.journal.row(job_id)) is not None and row.state != "running":
+        await asyncio.sleep(0.001)
 
 
 def two_hosts() -> Fleet:
@@ -86,8 +117,7 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
         client = fleet.client()
         before = len(fleet.controllers["gantry"].motions)
         job_id = await client.submit(GANTRY)
-        while (row := fleet.journal.row(job_id)) is not None and row.state != "running":
-            await asyncio.sleep(0.001)
+        await running(fleet, job_id)
         fleet.freeze("sim/gantry")
         report = await client.wait(job_id)
         assert report.state == "failed" and "gantry" in report.reason
@@ -108,3 +138,43 @@ def test_a_fleet_that_is_polled_seldom_is_not_taken_for_dead() -> None:
 
     rates = {"state": {"idle_hz": 0.5, "moving_hz": 3.0}}
     run_fleet(main, changed(chain_fleet(), **dict.fromkeys(("feeder", "turner", "outlet", "gantry"), rates)))
+
+
+def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet)
+        client = fleet.client()
+        job_id = await client.submit(job("[{do: move, to: {f1.x: 60, f2.x: 60}, speed: 0.2}]"))
+        await running(fleet, job_id)
+        fleet.wires["f1"].cut = True
+        assert (await client.wait(job_id)).state == "failed"
+        await asyncio.sleep(1.0)
+        fleet.wires["f1"].cut = False
+        await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
+        await asyncio.sleep(1.0)
+        assert [unit.motions for unit in fleet.controllers.values()] == [[], []]
+
+    run_fleet(main, pair("cia402"))
+
+
+@pytest.mark.parametrize("make", list(PAIR))
+def test_a_unit_on_its_limit_claims_no_start_and_the_other_one_stops(make: str) -> None:
+    stuck, other = PAIR[make]
+    move = job(f"[{{do: move, to: {{{stuck}.x: 30, {other}.x: 30}}, speed: 0.5}}]", max_start_skew="100 ms")
+
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet)
+        client = fleet.client()
+        before = {name: len(unit.motions) for name, unit in fleet.controllers.items()}
+        job_id = await client.submit(move)
+        await running(fleet, job_id)
+        fleet.within(stuck, lambda unit: unit.set_limit("1", "both"))
+        report = await client.wait(job_id)
+        assert report.state == "failed" and stuck in report.reason
+        assert not report.steps[0].members[stuck].evidence
+        await asyncio.sleep(2.0)
+        assert len(fleet.controllers[stuck].motions) == before[stuck]
+        (made,) = fleet.controllers[other].motions[before[other] :]
+        assert made.end_ns is not None and made.end_ns - made.start_ns < 2 * NS_PER_S
+
+    run_fleet(main, pair(make))
