@@ -6,7 +6,7 @@ import click
 
 from orchestrator.cli.bench_clocks import clock, firing, sync
 from orchestrator.cli.bench_journal import journal
-from orchestrator.cli.bench_live import dispatch, estop, jog, permit
+from orchestrator.cli.bench_live import dispatch, estop, jog, kills, permit
 from orchestrator.cli.common import console, json_option, print_json
 
 if TYPE_CHECKING:
@@ -247,5 +247,5 @@ def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
     console.print(table)
 
 
-for command in (clock, dispatch, estop, firing, jog, journal, permit, sync):
+for command in (clock, dispatch, estop, firing, jog, journal, kills, permit, sync):
     bench.add_command(command)

@@ -1,4 +1,4 @@
-"""`tutti bench jog`, `permit`, `estop`, `dispatch`: how soon a live fleet of simulated controllers reacts."""
+"""`tutti bench jog`, `permit`, `estop`, `kills`, `dispatch`: how soon a live fleet of simulated controllers reacts."""
 
 import sys
 import tempfile
@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 if TYPE_CHECKING:
     from orchestrator.lab.bench_dispatch import DispatchFigures
     from orchestrator.lab.bench_estop import EstopFigures
     from orchestrator.lab.bench_jog import JogFigures
+    from orchestrator.lab.bench_kills import KillFigures
     from orchestrator.lab.bench_permit import PermitFigures
     from orchestrator.lab.bench_spread import Spread
 
@@ -95,6 +97,45 @@ def estop(as_json: bool, rounds: int) -> None:
         return bench_estop(folder, rounds, [sys.executable, "-c", _PANEL])
 
     _show_spreads(_measured(measure), as_json)
+
+
+@click.command(epilog="Example: tutti bench kills --rounds 100 --json")
+@json_option
+@click.option("--rounds", default=100, show_default=True, type=click.IntRange(1, 100_000), help="Faults.")
+def kills(as_json: bool, rounds: int) -> None:
+    """Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
+
+    No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must work
+    again by itself. A hundred rounds take a quarter of an hour.
+    """
+    from orchestrator.cli.demo import EXAMPLES
+    from orchestrator.lab.bench_kills import bench_kills
+    from orchestrator.lab.bench_spread import Spread
+    from orchestrator.model.files import load_fleet
+    from orchestrator.monitor.tables import plain_table
+
+    def measure(folder: Path) -> "Coroutine[Any, Any, KillFigures]":
+        fleet = load_fleet(EXAMPLES / "demo.fleet.yaml")
+        return bench_kills(fleet, folder, rounds, lambda line: None if as_json else console.print(f"[dim]{line}[/]"))
+
+    figures = _measured(measure)
+    if as_json:
+        fields = figures._asdict()
+        print_json({name: each._asdict() if isinstance(each, Spread) else each for name, each in fields.items()})
+    else:
+        table = plain_table(["from the fault to", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
+        table.add_row("the last axis at rest", *_cells(figures.rest))
+        table.add_row("a job done again", *_cells(figures.back))
+        table.add_row(_WORDS["noise"], *_cells(figures.noise))
+        console.print(table)
+        ends = ", ".join(f"{count} {state}" for state, count in figures.ends.items())
+        console.print(
+            f"{figures.rounds} faults; jobs: {ends}; lost {figures.lost}, doubled {figures.doubled}, "
+            f"moved on for longer than declared {figures.moved_on}",
+            highlight=False,
+        )
+    if figures.lost or figures.doubled or figures.moved_on:
+        raise SystemExit(FAILED)
 
 
 @click.command(epilog="Example: tutti bench dispatch --rounds 50 --json")

@@ -15,9 +15,9 @@ Steps = list[dict[str, object]]
 
 
 @contextlib.asynccontextmanager
-async def measured_fleet(fleet: Fleet, state: Path) -> AsyncGenerator[tuple[LiveFleet, Tutti]]:
+async def measured_fleet(fleet: Fleet, state: Path, standby: bool = False) -> AsyncGenerator[tuple[LiveFleet, Tutti]]:
     """`fleet` while the context lasts, its controllers adopted. Raises `UpFailed`, `Refused`, `NothingHappened`."""
-    live = LiveFleet(fleet, state, lambda _: None, port=free_port(), simulated=True, truth=True)
+    live = LiveFleet(fleet, state, lambda _: None, port=free_port(), simulated=True, truth=True, standby=standby)
     await live.start()
     try:
         async with Tutti(live.connect, fleet.fleet, "bench") as tutti:

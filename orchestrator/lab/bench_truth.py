@@ -32,6 +32,16 @@ class Truth:
             raise NothingHappened(f"{self._path.stem}: no {event!r} within {GIVE_UP_S:g} s") from None
         return found
 
+    def ends_after(self, at_ns: int) -> list[int]:
+        """When motions came to rest that moved after `at_ns`, as far as they are written down."""
+        self._read()
+        return [entry["end_ns"] for entry in self._entries if entry["event"] == "end" and entry["end_ns"] > at_ns]
+
+    def count(self, event: str, at_ns: int) -> int:
+        """How many such events of any axis came after `at_ns`."""
+        self._read()
+        return sum(entry["event"] == event and entry[f"{event}_ns"] > at_ns for entry in self._entries)
+
     def _first(self, event: str, at_ns: int) -> int | None:
         stamps = (entry[f"{event}_ns"] for entry in self._entries if entry["event"] == event)
         return min((ns for ns in stamps if ns > at_ns), default=None)
