@@ -19,7 +19,7 @@ from adapters.smc30 import startup
 from adapters.smc30.costs import costs
 from adapters.smc30.hand import Hand
 from adapters.smc30.line import SHARED, Line
-from adapters.smc30.lowering import Slots, SmcLowered, lower, slots
+from adapters.smc30.lowering import LINES_BEFORE, Slots, SmcLowered, lower, slots
 from adapters.smc30.mover import Mover, passive
 from adapters.smc30.options import Options
 from adapters.smc30.polling import Poller
@@ -61,6 +61,8 @@ class SmcDriver(Driver):
         self._poller: Poller | None = None
         self._enabled = True
         self._lost = False
+        # Known beyond a connection.
+        self._crystal = options.unread_clock(LINES_BEFORE)
         self._met = False
         self._restarted = False
 
@@ -76,7 +78,7 @@ class SmcDriver(Driver):
         await self._line.attach(self._address, self._setup.open_link, self._char_ns)
         session = Session(self._line, self._clock, self._address, self._options.checksum)
         unit = self._unit = UnitState(session, self._clock, enabled=self._enabled, lost=self._lost)
-        mover = self._mover = Mover(self._options, self._clock, self._setup.firer, unit, self._slots)
+        mover = self._mover = Mover(self._options, self._clock, self._setup.firer, unit, self._crystal, self._slots)
         hand = self._hand = Hand(
             self._config, self._options, self._clock, unit, lambda: mover.move is not None or unit.doing == "home"
         )
@@ -89,6 +91,8 @@ class SmcDriver(Driver):
         fresh = await startup.configure(self._connected(), self._options, self._clock)
         # Said by the next poll: whoever reaches a unit again must hear that it was off meanwhile.
         self._restarted = self._restarted or (fresh and self._met)
+        if fresh:
+            self._crystal.forget()
         self._met = True
 
     @property
@@ -118,6 +122,7 @@ class SmcDriver(Driver):
 
     async def _recover(self, unit: UnitState) -> None:
         """The unit was switched off and on: load again what it has lost. Its motor is on then."""
+        self._crystal.forget()
         mover = self._moving()
         move, mover.move = mover.move, None
         if move is not None and move.order is not None:
@@ -132,7 +137,8 @@ class SmcDriver(Driver):
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
         ramp_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
-        return lower(self._config, self._options, self._costs(ramp_s), self._slots, dict(profiles), how)
+        known = self._crystal.known(self._clock.now_ns())
+        return lower(self._config, self._options, self._costs(ramp_s), self._slots, known, dict(profiles), how)
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, SmcLowered)

@@ -12,12 +12,14 @@ from math import ceil
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how
-from adapters.patherror import path_error_counts
+from adapters.patherror import in_host_time, path_error_counts
 from adapters.points import driven, waited_for
 from adapters.smc30.options import Options
 from adapters.smc30.ramp import Shape, fit
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, bounds, only_axis
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.latency import Latency
+from orchestrator.clock.unread import KnownClock
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, LineWait, StartWay, Term
 from orchestrator.model.profile import Profile
@@ -85,9 +87,15 @@ class SmcLowered(Lowered):
 
 
 def lower(
-    config: Controller, options: Options, costs: Costs, schedule: Slots, profiles: dict[str, Profile], how: StartWay
+    config: Controller,
+    options: Options,
+    costs: Costs,
+    schedule: Slots,
+    known: KnownClock,
+    profiles: dict[str, Profile],
+    how: StartWay,
 ) -> SmcLowered:
-    """Raises `CannotDo`."""
+    """known: of the unit's clock. Raises `CannotDo`."""
     require_how(how, ("host", "line"), "the SMC30 has no readable clock to start by")
     wait, drive = _awaited(config, how.wait), _driven(config, how.drive)
     if wait is not None and drive is not None:
@@ -101,30 +109,31 @@ def lower(
         raise CannotDo("start-class", "no start by line: no input is named to wait for", "name it in the wiring")
     axis, _ = only_axis(config)
     profile = profiles.get(axis)
-    shape = None if profile is None else _shape(config, options, profile)
+    shape = None if profile is None else _shape(config, options, profile, known.rate.factor)
     start_counts = 0 if profile is None else profile.start_counts
     target = None if profile is None or shape is None else profile.end_counts
-    lead_ns = (options.decode_us + LINES_BEFORE * options.line_us) * NS_PER_US + schedule.delay_ns
+    lead_ns = known.latency.usual_ns + schedule.delay_ns
     hold_ns = 0 if how.drive is None else how.drive.hold_ns
     program = _program(shape, start_counts, target, schedule, wait, drive, hold_ns)
-    edge = _host_terms(options, schedule)
+    edge = _host_terms(options, schedule, known.latency)
     start_class: StartClass = "host"
     if wait is not None and how.wait is not None:
         start_class, terms = "line", _line_terms(options, how.wait)
     elif drive is not None:
         # The motion is the line after the one that switches the output.
-        terms = _host_terms(options, schedule, lines_after=1)
+        terms = _host_terms(options, schedule, known.latency, lines_after=1)
     else:
         terms = edge
-    scale = 1 / (1 + options.rate_ppm * 1e-6)
+    scale = 1 / known.rate.factor
+    duration_s = 0.0 if shape is None else shape.duration_s * scale
     return SmcLowered(
         start_class=start_class,
-        durations_s={} if profile is None else {axis: shape.duration_s * scale if shape is not None else 0.0},
+        durations_s={} if profile is None else {axis: duration_s},
         path_error_counts={} if profile is None else {axis: _path_error(profile, shape, scale)},
         terms=terms,
         edge=edge if drive is not None else (),
         tick_ns=0.0,
-        clock_ppm=options.clock_ppm,
+        clock_ppm=known.clock_ppm(duration_s),
         costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,
@@ -188,15 +197,16 @@ def _program_ns(options: Options, schedule: Slots, drive: Point | None, target: 
     return middle_ns - lines * spread_ns - slow_ns, middle_ns + lines * spread_ns + slow_ns
 
 
-def _host_terms(options: Options, schedule: Slots, lines_after: int = 0) -> tuple[Term, ...]:
-    lines_us = (LINES_BEFORE + lines_after) * options.line_spread_us
-    early_us = min(options.decode_spread_us, options.decode_us) + lines_us - lines_after * options.line_us
-    late_us = options.decode_spread_us + lines_us + lines_after * options.line_us
+def _host_terms(options: Options, schedule: Slots, start: Latency, lines_after: int = 0) -> tuple[Term, ...]:
+    """The delay counts by a crystal of which no more is taken for known here than what is assumed."""
+    after_us, spread_us = lines_after * options.line_us, lines_after * options.line_spread_us
     slow_ns = ceil(schedule.delay_ns * options.clock_ppm * 1e-6)
+    first_ns = start.earliest_ns - start.usual_ns + (after_us - spread_us) * NS_PER_US
+    last_ns = start.latest_ns - start.usual_ns + (after_us + spread_us - options.wire_jitter_us) * NS_PER_US
     return (
         _term("host", options.fire_early_us, options.fire_late_us),
         _term("wire", 0, options.wire_jitter_us),
-        Term(name="firmware", earliest_ns=-early_us * NS_PER_US - slow_ns, latest_ns=late_us * NS_PER_US + slow_ns),
+        Term(name="firmware", earliest_ns=first_ns - slow_ns, latest_ns=last_ns + slow_ns),
     )
 
 
@@ -227,7 +237,8 @@ def _driven(config: Controller, drive: LineDrive | None) -> Point | None:
     return Point(drive.output, point.number, point.active == "high")
 
 
-def _shape(config: Controller, options: Options, profile: Profile) -> Shape | None:
+def _shape(config: Controller, options: Options, profile: Profile, correction: float) -> Shape | None:
+    """correction: seconds of the unit's crystal in one of the host's."""
     name, axis = only_axis(config)
     if any(profile.jerks):
         raise CannotDo("jerk", f"axis {name}: the SMC30 can not limit jerk", "leave `jerk` out of the axis's limits")
@@ -241,7 +252,6 @@ def _shape(config: Controller, options: Options, profile: Profile) -> Shape | No
             "home the axis, or make the move shorter",
         )
     limits, wanted_s = bounds(axis), profile.duration_s
-    correction = 1 + options.rate_ppm * 1e-6
     gap_s = GAP_LINES * options.line_us * 1e-6
     shape = fit(steps, wanted_s * correction, profile.durations_s[0] * correction, limits, gap_s)
     if shape is None:
@@ -265,5 +275,4 @@ def _path_error(profile: Profile, shape: Shape | None, scale: float) -> float:
     """scale: host seconds of a second of the unit."""
     if shape is None:
         return 0.0
-    legs = ((each.duration_s * scale, each.rate / scale, each.acceleration / scale**2) for each in shape.legs)
-    return path_error_counts(profile, legs)
+    return path_error_counts(profile, in_host_time(shape.legs, 1 / scale))

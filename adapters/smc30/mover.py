@@ -3,23 +3,27 @@
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import ceil, floor
 
 from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
 from adapters.smc30.line import Shot
-from adapters.smc30.lowering import Slots, SmcLowered
+from adapters.smc30.lowering import LINES_BEFORE, Slots, SmcLowered
 from adapters.smc30.options import Options
 from adapters.smc30.session import Busy
-from adapters.smc30.unitstate import UnitState
+from adapters.smc30.unitstate import Place, UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.timed import BEFORE_END_NS, LONG_S, TimedMove
+from orchestrator.clock.unread import UnreadClock
 
 _LOOK_NS = 20 * NS_PER_MS
+_GRAIN = 1.0  # steps: whether the counter rounds is not said
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is held, or has never begun
 
 
 @dataclass(slots=True)
 class Move:
-    """A step that is loaded. order and shot: of its starting line, from `go` on. started: when it is known."""
+    """A step that is loaded. order and shot: of its starting line, from `go` on. started: when it is known.
+    Of a start by the host: arrived_ns, the end of its line was at the unit at the earliest; answered_ns, by then its
+    answer was sent; timed: what is seen of the motion, where it says something of the crystal."""
 
     lowered: SmcLowered
     t0_ns: int
@@ -31,17 +35,23 @@ class Move:
     followed: bool = False
     """Somebody waits for its start or its end."""
     stopped_ns: int | None = None
+    arrived_ns: int = 0
+    answered_ns: int | None = None
+    timed: TimedMove | None = None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Mover:
     """Arms, starts and follows steps of one connection."""
 
-    def __init__(self, options: Options, clock: Clock, firer: Firer, unit: UnitState, slots: Slots) -> None:
+    def __init__(
+        self, options: Options, clock: Clock, firer: Firer, unit: UnitState, crystal: UnreadClock, slots: Slots
+    ) -> None:
         self._options = options
         self._clock = clock
         self._firer = firer
         self._unit = unit
+        self._crystal = crystal
         self._slots = slots
         self.move: Move | None = None
 
@@ -177,6 +187,10 @@ class Mover:
             return {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
         span = await (self._started_by_line(move) if lowered.wait is not None else self._started_by_host(move))
         move.started = span
+        shape = lowered.shape
+        # Between several commands the interpreter takes its time, and behind the motion a driven output.
+        if lowered.wait is None and lowered.drive is None and shape is not None and len(shape.parts) == 1:
+            move.timed = TimedMove(shape.duration_s, shape.legs, (span.earliest_ns, span.latest_ns))
         await self._sleep_until(move, span.latest_ns)
         if lowered.wait is None and lowered.target not in (None, lowered.start_counts):
             await self._see_it_gone(move)
@@ -199,10 +213,10 @@ class Mover:
             move.running = False
             raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
         reply = await move.shot.heard
-        at_unit_ns = fired.written_ns + move.shot.wire_ns
+        at_unit_ns = move.arrived_ns = fired.written_ns + move.shot.wire_ns
         least_ns, most_ns = move.lowered.program_ns
         if reply is not None and reply.text == "Y":
-            latest_ns = reply.at_ns - session.line.wire_ns(reply.characters)
+            latest_ns = move.answered_ns = reply.at_ns - session.line.wire_ns(reply.characters)
         elif move.stopped_ns is not None or (await self._unit.status()).busy:
             # Its answer was lost, but it is at it.
             latest_ns = at_unit_ns + (self._options.decode_us + self._options.decode_spread_us) * NS_PER_US
@@ -250,15 +264,20 @@ class Mover:
         if not lowered.program or move.started is None:
             self._over(move)
             return Outcome("done", {name: Span(move.t0_ns, move.t0_ns) for name in lowered.durations_s})
-        duration_s = lowered.durations_s.get(lowered.axis, 0.0)
-        await self._sleep_until(move, move.started.earliest_ns + self._device_ns(duration_s, -1))
+        least_ns, most_ns = self._took_ns(move)
+        # The end of a long motion is asked for without a pause, so that it is also known when it had not come yet.
+        close = move.timed is not None and move.timed.duration_s >= LONG_S
+        await self._sleep_until(move, move.started.earliest_ns + least_ns - (BEFORE_END_NS if close else 0))
         overdue_ns = self._clock.now_ns() + self._program_slack_ns(move)
         last_busy_ns = 0
         while (now := await unit.status()).busy:
-            last_busy_ns = now.sent_ns
+            last_busy_ns = now.arrived_ns
+            if move.timed is not None:
+                move.timed.moved(now.arrived_ns)
             if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
                 return await self._overdue(move)
-            await sleep_ns(self._clock, _LOOK_NS)
+            if not close or move.stopped_ns is not None or self._clock.now_ns() > move.started.latest_ns + most_ns:
+                await sleep_ns(self._clock, _LOOK_NS)
         await unit.stopped()
         counts = await self._counts_at_rest()
         self._over(move)
@@ -268,6 +287,7 @@ class Mover:
             return Outcome("done", ended) if done else Outcome("stopped", ended, "stopped on request")
         if counts == lowered.target:
             unit.limit = "none"
+            self._learn(move, now.at_ns)
             return Outcome("done", {lowered.axis: self._end(move, last_busy_ns, now.at_ns)})
         span = Span(min(move.started.earliest_ns, now.at_ns), now.at_ns)
         stands = f"axis {lowered.axis} stands at {counts}, not at its target {lowered.target}"
@@ -279,6 +299,25 @@ class Mover:
         return Outcome(
             "fault", {lowered.axis: span}, f"{stands}: has the {side} end-of-travel input stopped it, or its own error?"
         )
+
+    def told(self, place: Place) -> None:
+        """The unit has said in motion where it is."""
+        move = self.move
+        if move is not None and move.timed is not None:
+            way = abs(place.counts - move.lowered.start_counts)
+            move.timed.stood(way, _GRAIN, place.arrived_ns, place.at_ns)
+
+    def _learn(self, move: Move, ready_ns: int) -> None:
+        """What a motion that has ended as planned says of the crystal, and of the time to the start."""
+        if move.timed is None or move.stopped_ns is not None:
+            return
+        lowered = move.lowered
+        move.timed.ended(ready_ns)
+        program_ns = sum(lowered.program_ns) // 2
+        answered_ns = None if move.answered_ns is None else move.answered_ns + program_ns
+        # Without the delay, which is not the same in all programs.
+        began_ns = move.arrived_ns + program_ns - LINES_BEFORE * self._options.line_us * NS_PER_US
+        self._crystal.learn(move.timed, began_ns, answered_ns, self._clock.now_ns())
 
     def seen_ready(self, asked_ns: int) -> None:
         """The unit executes nothing, by an answer to what was asked then: a step that should still move has ended."""
@@ -292,9 +331,9 @@ class Mover:
         Behind the motion there may be more program lines, so that being busy tells nothing when there are.
         """
         assert move.started is not None
-        seconds = move.lowered.durations_s[move.lowered.axis]
-        earliest_ns = move.started.earliest_ns + self._device_ns(seconds, -1) - self._gap_spread_ns(move)
-        latest_ns = move.started.latest_ns + self._device_ns(seconds, 1) + self._gap_spread_ns(move)
+        least_ns, most_ns = self._took_ns(move)
+        earliest_ns = move.started.earliest_ns + least_ns - self._gap_spread_ns(move)
+        latest_ns = move.started.latest_ns + most_ns + self._gap_spread_ns(move)
         if move.lowered.drive is None:
             earliest_ns = max(earliest_ns, last_busy_ns)
         latest_ns = min(latest_ns, ready_ns)
@@ -371,10 +410,10 @@ class Mover:
             timer.cancel()
         move.changed.clear()
 
-    def _device_ns(self, seconds: float, sign: int) -> int:
-        """A duration by the slowest (1) or quickest (-1) crystal."""
-        exact = seconds * NS_PER_S * (1 + sign * self._options.clock_ppm * 1e-6)
-        return ceil(exact) if sign > 0 else floor(exact)
+    def _took_ns(self, move: Move) -> tuple[int, int]:
+        """What the motion takes by all that is known of the crystal, least and most."""
+        shape = move.lowered.shape
+        return self._crystal.rate.took_ns(0.0 if shape is None else shape.duration_s, self._clock.now_ns())
 
     def _gap_spread_ns(self, move: Move) -> int:
         shape = move.lowered.shape

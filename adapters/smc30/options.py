@@ -4,6 +4,10 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.latency import Latency
+from orchestrator.clock.unread import UnreadClock
+
 Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 Milliamps = Annotated[int, Field(ge=0, le=12_000)]
 
@@ -21,7 +25,10 @@ class Options(BaseModel):
     ramp_ma: Milliamps | None = Field(default=None, description="Current on ramps (CR). None: as the unit has it.")
     top_ma: Milliamps | None = Field(default=None, description="Current at top rate (CT). None: as the unit has it.")
     rate_ppm: float = Field(
-        default=0.0, ge=-10_000, le=10_000, description="How much too fast the unit's crystal is, measured; corrected."
+        default=0.0,
+        ge=-10_000,
+        le=10_000,
+        description="How much too fast the unit's crystal is, measured; corrected, and learned from moves beyond that.",
     )
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the crystal beyond that.")
     answer_ms: int = Field(default=100, ge=10, le=60_000, description="How long an answer may take beyond the wire.")
@@ -42,3 +49,12 @@ class Options(BaseModel):
     busy_wait_s: float = Field(
         default=30.0, ge=0, le=3600, description="How long configuring waits for a program or motion that it has found."
     )
+
+    def unread_clock(self, lines: int) -> UnreadClock:
+        """What is assumed of the unit's crystal, and of the time from the end of a starting line, without the delay of
+        its program, to the motion behind so many program lines."""
+        usual_us = self.decode_us + lines * self.line_us
+        least_us = max(0, self.decode_us - self.decode_spread_us) + lines * (self.line_us - self.line_spread_us)
+        most_us = usual_us + self.decode_spread_us + lines * self.line_spread_us + self.wire_jitter_us
+        start = Latency(usual_us * NS_PER_US, least_us * NS_PER_US, most_us * NS_PER_US)
+        return UnreadClock(self.rate_ppm, self.clock_ppm, start)

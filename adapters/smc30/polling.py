@@ -88,8 +88,9 @@ class Poller:
             counts, velocity = run.begin + run.sign * round(steps), run.sign * rate
         if unit.live is not False and moving:
             try:
-                counts = await unit.position()
-                unit.live = True
+                place = await unit.place()
+                counts, unit.live = place.counts, True
+                self._mover.told(place)
             except Busy:
                 unit.live = False
         return counts, velocity, moving

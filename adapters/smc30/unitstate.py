@@ -26,10 +26,20 @@ Doing = Literal["nothing", "step", "jog", "home"]
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The answer to F. at_ns: the latest instant at which it was so; sent_ns: the earliest."""
+    """The answer to F, which was written at sent_ns. It was so between the two other instants."""
 
     busy: bool
     sent_ns: int
+    arrived_ns: int
+    at_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The answer to V1: it was there between the two instants."""
+
+    counts: int
+    arrived_ns: int
     at_ns: int
 
 
@@ -69,11 +79,20 @@ class UnitState:
             self.program_error = True
         elif answer.text == "E5":
             self.overflow = True
-        return Status(answer.text == "B", answer.sent_ns, answer.at_ns)
+        return Status(answer.text == "B", answer.sent_ns, self._arrived_ns("F", answer), answer.at_ns)
+
+    def _arrived_ns(self, command: str, answer: Answer) -> int:
+        """When the end of what was answered can have been at the unit at the earliest."""
+        return answer.sent_ns + self.session.line.wire_ns(len(self.session.framed(command)))
+
+    async def place(self) -> Place:
+        """V1 (L1926-L1931) of a unit that tells it. Raises `Busy`."""
+        answer = await self.session.ask("V1", POSITION)
+        return Place(int(_group(answer)), self._arrived_ns("V1", answer), answer.at_ns)
 
     async def position(self) -> int:
-        """V1 (L1926-L1931) of a unit at rest. Raises `Busy`."""
-        return int(_group(await self.session.ask("V1", POSITION)))
+        """Where it is, like `place`."""
+        return (await self.place()).counts
 
     async def points(self) -> tuple[dict[int, bool], dict[int, bool]]:
         """User inputs and outputs by number (V2, L2443-L2460). Raises `Busy`."""
