@@ -227,7 +227,9 @@ class CiaDriver(Driver):
 
     def _moves(self, found: Node) -> bool:
         """By its own word while something is under way; else by its position, which says it a little later."""
-        assert self._hand is not None
+        assert self._hand is not None and self._power is not None
+        if self._power.stopping:
+            return True
         mover = self._moving()
         stepping = mover.move is not None and mover.move.started is not None
         under_way = stepping or self._hand.homing or self._hand.jogging

@@ -302,6 +302,8 @@ class Mover:
 
         taken = await node.until(lambda: self._interrupted_now(move) or bool(taken_ns()), latest_ns + node.answer_ns)
         if not taken_ns() and move.stopped_ns is None:
+            # It may be slow rather than deaf, and start with a SYNC that comes late: not behind anybody's back.
+            await node.until(lambda: not self._power.stopping, latest_ns + node.answer_ns)
             raise self._not_started(move, taken)
         # On a limit a set-point is taken, and nothing moves.
         gone_ns = node.clock.now_ns() + _GONE_NS

@@ -130,6 +130,11 @@ class Power:
         """A step drives an output, or does not any more. passive: 60FEh to take when it is stopped."""
         self._driving, self._passive_outputs = driving, passive
 
+    @property
+    def stopping(self) -> bool:
+        """A stop has not been seen through: the drive has not said that it rests."""
+        return bool(self._stopping)
+
     async def stopped(self) -> None:
         """Until every stop has been seen through."""
         while self._stopping:

@@ -89,9 +89,7 @@ def test_what_breaks_a_stream_ends_the_step_of_all(trouble: str, words: str) -> 
                 bus.cut = True
             elif trouble == "bus-off":
                 # Only what the adapter host sends is destroyed: the drives stay on the bus.
-                host = bus._nodes[-1]
-                host.transmit_errors = 255
-                bus.disturb(1)
+                bus._nodes[-1].count(transmit=256)
             elif trouble == "power":
                 drive.set_power(False)
             elif trouble == "stall":
