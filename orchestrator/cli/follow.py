@@ -2,16 +2,25 @@
 
 from rich.live import Live
 
-from orchestrator.cli.common import console
+from orchestrator.cli.common import console, errors
 from orchestrator.client import Tutti
 from orchestrator.model.report import JobReport, Progress
 from orchestrator.monitor.fleet_view import LiveView, job_line
 
 
 async def follow(tutti: Tutti, job_id: str, quiet: bool) -> JobReport:
-    """Wait for a job, showing the fleet live on a terminal, lines elsewhere, nothing if `quiet`."""
+    """Wait for a job, showing the fleet live on a terminal, lines elsewhere; if `quiet` only for whom it waits, on
+    standard error."""
     if quiet:
-        return await tutti.wait(job_id)
+        waits = ""
+
+        def tell_waiting(progress: Progress) -> None:
+            nonlocal waits
+            if progress.state == "queued" and progress.reason != waits:
+                waits = progress.reason
+                errors.print(waits, highlight=False, markup=False, soft_wrap=True)
+
+        return await tutti.wait(job_id, tell_waiting)
     if not console.is_terminal:
         last = ""
 
@@ -30,7 +39,7 @@ async def follow(tutti: Tutti, job_id: str, quiet: bool) -> JobReport:
         with Live(get_renderable=view.render, console=console, refresh_per_second=10, transient=True):
 
             def take(progress: Progress) -> None:
-                view.job = progress
+                view.note(progress)
                 while not samples.empty():
                     view.take(samples.get_nowait())
 

@@ -1,4 +1,4 @@
-"""The fleet and the running job as they are now, gathered from the bus, and as tables for a terminal."""
+"""The fleet and its jobs under way as they are now, gathered from the bus, and as tables for a terminal."""
 
 from dataclasses import dataclass, field
 
@@ -26,6 +26,7 @@ _MODE_STYLE = {
     "fault": "red",
 }
 EVENTS_SHOWN = 5
+JOBS_SHOWN = 6
 
 
 @dataclass(slots=True)
@@ -34,7 +35,7 @@ class LiveView:
 
     keys: Keys
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
-    job: Progress | None = None
+    jobs: dict[str, Progress] = field(default_factory=dict[str, Progress])
     events: list[Event] = field(default_factory=list[Event])
 
     @property
@@ -50,9 +51,8 @@ class LiveView:
                 self.events = [*self.events, event][-EVENTS_SHOWN:]
                 return f"{event.utc} {event.controller}: {event.kind}: {event.text}"
             if "/job/" in sample.key:
-                before, self.job = self.job, Progress.model_validate_json(sample.payload)
-                same = before is not None and (before.state, before.step) == (self.job.state, self.job.step)
-                return None if same else job_line(self.job)
+                progress = Progress.model_validate_json(sample.payload)
+                return job_line(progress) if self.note(progress) else None
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError:
             return f"something that can not be read on {sample.key}"
@@ -61,11 +61,21 @@ class LiveView:
             return None
         return f"{state.utc} {state.controller}: {state.mode}"
 
+    def note(self, progress: Progress) -> bool:
+        """Take a job's progress in; whether its state or step has changed. Of ended jobs the newest stays."""
+        before = self.jobs.pop(progress.job_id, None)
+        ends = progress.state in ENDED
+        kept = {job_id: each for job_id, each in self.jobs.items() if not (ends and each.state in ENDED)}
+        self.jobs = kept | {progress.job_id: progress}
+        return before is None or (before.state, before.step) != (progress.state, progress.step)
+
     def render(self) -> RenderableType:
         """The whole screen."""
         parts: list[RenderableType] = [state_table(self.states)]
-        if self.job is not None:
-            parts.append(job_bar(self.job))
+        shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
+        parts += [job_bar(each) for each in shown[:JOBS_SHOWN]]
+        if len(shown) > JOBS_SHOWN:
+            parts.append(Text(f"and {len(shown) - JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
         if self.events:
             table = Table.grid(padding=(0, 2))
             for event in self.events:

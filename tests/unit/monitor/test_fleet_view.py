@@ -1,0 +1,56 @@
+"""What a screen shows of the jobs under way."""
+
+from io import StringIO
+
+from rich.console import Console
+
+from orchestrator.bus.base import Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.model.report import JobState, Progress
+from orchestrator.monitor.fleet_view import JOBS_SHOWN, LiveView
+
+
+def progress(job_id: str, state: JobState, step: int = 0) -> Sample:
+    said = Progress(
+        job_id=job_id,
+        name="scan",
+        actor="anna",
+        state=state,
+        step=step,
+        steps=3,
+        step_name="move",
+        fraction=step / 3,
+        remaining_s=None,
+        reason="",
+        utc="2026-01-01T00:00:00Z",
+    )
+    return Sample(f"tutti/v1/lab/job/{job_id}/state", said.to_json())
+
+
+def screen(view: LiveView) -> str:
+    console = Console(width=100, record=True, file=StringIO())
+    console.print(view.render())
+    return console.export_text()
+
+
+def test_jobs_that_run_side_by_side_are_all_shown_and_of_ended_ones_the_newest() -> None:
+    view = LiveView(Keys("lab"))
+    assert view.take(progress("aaaa", "running"))
+    assert view.take(progress("bbbb", "running"))
+    assert view.take(progress("aaaa", "running")) is None
+    assert view.take(progress("aaaa", "running", 1))
+    assert "aaaa" in screen(view) and "bbbb" in screen(view)
+    for job_id in ("cccc", "dddd"):
+        view.take(progress(job_id, "done", 2))
+    assert "cccc" not in screen(view) and "dddd" in screen(view)
+    view.take(progress("aaaa", "running", 2))
+    assert "dddd" in screen(view)
+
+
+def test_a_long_queue_is_cut_behind_what_runs() -> None:
+    view = LiveView(Keys("lab"))
+    for number in range(JOBS_SHOWN + 3):
+        view.take(progress(f"q{number:03}", "queued"))
+    view.take(progress("zzzz", "running"))
+    shown = screen(view)
+    assert "zzzz" in shown and "and 4 more jobs" in shown
