@@ -43,7 +43,7 @@ def motor(name: str) -> str:
 def test_streams_and_contours_start_and_end_together_with_evidence_that_holds_the_truth() -> None:
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
-        await sleep_ns(virtual.clock, 30 * NS_PER_S)
+        await sleep_ns(virtual.clock, 8 * NS_PER_S)
         for each in (OUT, BACK):
             before = {name: len(unit.motions) for name, unit in virtual.controllers.items()}
             report = await outcome(virtual, each)
