@@ -27,7 +27,7 @@ from adapters.shrc203.moves import Mover
 from adapters.shrc203.options import Options
 from adapters.shrc203.polling import Poller
 from adapters.shrc203.registered import Kind, registered
-from adapters.shrc203.replies import BITS, flags
+from adapters.shrc203.replies import BITS, flags, triples
 from adapters.shrc203.session import Session
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import UnitState
@@ -58,8 +58,9 @@ class ShrcDriver(Driver):
         self._poller: Poller | None = None
         self._jogging: Jogging | None = None
         self._outputs = asyncio.Lock()
-        # Known beyond a connection: the crystal stays the same.
+        # Known beyond a connection: of the unit that still holds the sentinel.
         self._crystal = options.unread_clock()
+        self._sentinel: tuple[str, str] | None = None
 
     # Meeting the unit
 
@@ -83,7 +84,10 @@ class ShrcDriver(Driver):
         await startup.compare(unit.session, self._config, self._options, unit.controllable)
         loops = await unit.session.ask("?:FW", flags(len(unit.controllable)))
         unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
+        if self._sentinel is not None and await unit.session.ask(self._sentinel[0], triples(1)) != self._sentinel[1]:
+            self._crystal.forget()
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
+        self._sentinel = unit.sentinel
         if self._config.inputs:
             unit.line_starts = await can_wait_at_rest(unit)
 

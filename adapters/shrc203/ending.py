@@ -10,7 +10,7 @@ from adapters.shrc203.session import EOL, Session
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.timing import Timing
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.clock.timed import BEFORE_END_NS, LONG_S
+from orchestrator.clock.timed import LONG_S
 from orchestrator.clock.unread import UnreadClock
 
 _DIGIT_CHARACTERS = len("1" + EOL)
@@ -50,7 +50,7 @@ class Ending:
         if timing.timed.duration_s < LONG_S:
             return
         session = self._session
-        begin_ns = move.started.earliest_ns + self.took_ns(timing.axis)[0] - BEFORE_END_NS
+        begin_ns = move.started.earliest_ns + self.took_ns(timing.axis)[0] - timing.timed.before_ns
         while timing.axis.motor in session.owed and move.stopped_ns is None:
             if self._clock.now_ns() < begin_ns:
                 await session.wait_changed(begin_ns)

@@ -11,7 +11,7 @@ from adapters.smc30.options import Options
 from adapters.smc30.session import Busy
 from adapters.smc30.unitstate import Place, UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.timed import BEFORE_END_NS, LONG_S, TimedMove
+from orchestrator.clock.timed import LONG_S, TimedMove
 from orchestrator.clock.unread import UnreadClock
 
 _LOOK_NS = 20 * NS_PER_MS
@@ -267,7 +267,8 @@ class Mover:
         least_ns, most_ns = self._took_ns(move)
         # The end of a long motion is asked for without a pause, so that it is also known when it had not come yet.
         close = move.timed is not None and move.timed.duration_s >= LONG_S
-        await self._sleep_until(move, move.started.earliest_ns + least_ns - (BEFORE_END_NS if close else 0))
+        before_ns = 0 if move.timed is None or not close else move.timed.before_ns
+        await self._sleep_until(move, move.started.earliest_ns + least_ns - before_ns)
         overdue_ns = self._clock.now_ns() + self._program_slack_ns(move)
         last_busy_ns = 0
         while (now := await unit.status()).busy:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.rate import CrystalRate, Gate, Measure
 
-BEFORE_END_NS = 20 * NS_PER_MS
-"""So long before a move can have ended it is asked, again and again, whether it has."""
+_BEFORE_NS = 20 * NS_PER_MS
 LONG_S = 5.0
 """The end of a shorter move is not worth asking for: a millisecond is more than a crystal's error in it."""
 _MOST = 256
@@ -108,6 +107,12 @@ class TimedMove:
         self._ended_ns: tuple[int | None, int] | None = None
         self._moved_ns: int | None = None
 
+    @property
+    def before_ns(self) -> int:
+        """So long before it can have ended at the earliest it is asked, again and again, whether it has: not as long
+        for all moves, so that some are asked just before they end, and others just behind."""
+        return _BEFORE_NS + self.started_ns[0] % _BEFORE_NS
+
     def stood(self, way: float, grain: float, earliest_ns: int, latest_ns: int) -> None:
         """Between the two instants it had gone so far, to within `grain` counts either way."""
         cruise = self._cruise
@@ -146,13 +151,15 @@ class TimedMove:
 
     @property
     def measures(self) -> list[Measure]:
-        """What the rate has been found to be by the positions that were told; nothing without them.
+        """What the rate has been found to be by the positions that were told; nothing without them: the middles of what
+        is known of start and end are no better there than the middle of what all moves have left possible.
 
         Questions reach a unit more evenly than its answers reach the host where a receiver holds these back, less
         evenly where the host is busy: whichever of both scatters less about a straight line is believed.
         """
         lines = [each.measure(self.started_ns[0]) for each in (self._asked, self._told)]
-        return sorted((each for each in lines if each is not None), key=lambda each: each.error_ppm)[:1]
+        told = [each for each in lines if each is not None]
+        return [min(told, key=lambda each: each.error_ppm)] if told else []
 
     def _pairs(self) -> Gate:
         """The narrowest of all stretches between two readings."""
