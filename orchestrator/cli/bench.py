@@ -124,23 +124,20 @@ def bus(as_json: bool, rounds: int) -> None:
 
 @bench.command(epilog="Example: tutti bench can --json")
 @json_option
-@click.option(
-    "--rounds", default=200, show_default=True, type=click.IntRange(10, 100_000), help="Starts; a quarter of moves."
-)
+@click.option("--rounds", default=40, show_default=True, type=click.IntRange(10, 100_000), help="Moves each way.")
 @click.option("--hours", default=0.05, show_default=True, type=click.FloatRange(0.001, 24), help="Of fleet time.")
 def can(as_json: bool, rounds: int, hours: float) -> None:
     """Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, arm them, and stream positions to them.
 
     In virtual time, by the simulators' truth; in one step with SMC-4000 by a whole coordinator. Positions are streamed
-    for `--hours` at last: an hour takes some 20 minutes, the rest some three.
+    for `--hours` at last: an hour takes half an hour, the rest some three minutes.
     """
     from orchestrator.lab.bench_can import bench_can
     from orchestrator.lab.bench_can_mixed import bench_mixed
     from orchestrator.lab.bench_can_stream import bench_stream
     from orchestrator.monitor.tables import plain_table
 
-    moves = max(10, rounds // 4)
-    rows = [*bench_can(rounds), *bench_mixed(moves), *bench_stream(moves, hours)]
+    rows = [*bench_can(rounds), *bench_mixed(rounds), *bench_stream(rounds, hours)]
     if as_json:
         print_json({"rows": [row._asdict() for row in rows], "rounds": rounds, "hours": hours})
         return
