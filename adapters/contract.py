@@ -15,6 +15,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import Refusal, StartWay, Term
@@ -230,6 +231,10 @@ class Driver(ABC):
 
     def mapping(self) -> TickMapping | None:
         """The present clock estimate; None for a make without a readable clock."""
+        return None
+
+    def crystal(self) -> CrystalRate | None:
+        """What moves have told of the crystal of a make without a readable clock; None where that is not learned."""
         return None
 
     @abstractmethod

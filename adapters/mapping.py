@@ -1,7 +1,8 @@
 """A controller's clock mapping as it stands on the bus and in the record of a job."""
 
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.state import ClockMapping
+from orchestrator.clock.rate import CrystalRate
+from orchestrator.model.state import ClockMapping, LearnedCrystal
 
 
 def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMapping:
@@ -20,4 +21,16 @@ def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMa
         consistent=mapping.consistent,
         min_rtt_ns=mapping.min_rtt_ns,
         valid_until_ns=mapping.host_at_ns + round(1e6 / mapping.drift_ppm * mapping.tick_ns),
+    )
+
+
+def learned_crystal(rate: CrystalRate, now_ns: int) -> LearnedCrystal:
+    """A learned crystal as it is shown: with its error of now."""
+    return LearnedCrystal(
+        rate_ppm=rate.rate_ppm,
+        bound_ppm=rate.bound_ppm(now_ns, 0.0),
+        error_ppm=rate.error_ppm,
+        residual_ppm=rate.residual_ppm,
+        moves=rate.moves,
+        consistent=rate.consistent,
     )

@@ -11,7 +11,7 @@ from adapters.condition import Condition
 from adapters.contract import Reading
 from adapters.events import EventRing
 from adapters.fence import Fence
-from adapters.mapping import clock_mapping
+from adapters.mapping import clock_mapping, learned_crystal
 from adapters.member import Phase, Ticket
 from adapters.seat import Seat
 from adapters.store import Remembered
@@ -76,11 +76,12 @@ class Presenter:
         ]
 
     async def _answer_clock(self, _: Sample) -> bytes:
-        mapping = self._mapping()
+        mapping, crystal = self._mapping(), self._driver.crystal()
         return ClockReply(
             controller=self._controller,
             start_classes=list(self._driver.capabilities.start_classes),
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, self._clock.now_ns()),
+            crystal=None if crystal is None else learned_crystal(crystal, self._clock.now_ns()),
         ).to_json()
 
     # State

@@ -30,6 +30,7 @@ from adapters.ppsmc.stopper import Stopper
 from adapters.ppsmc.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -115,6 +116,9 @@ class PpSmcDriver(Driver):
         return reading
 
     # A step
+
+    def crystal(self) -> CrystalRate:
+        return self._crystal.rate
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
         known = self._crystal.known(self._clock.now_ns())

@@ -33,6 +33,7 @@ from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -116,6 +117,9 @@ class ShrcDriver(Driver):
         return reading
 
     # A step
+
+    def crystal(self) -> CrystalRate:
+        return self._crystal.rate
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> ShrcLowered:
         loops = {} if self._unit is None else self._unit.closed_loop

@@ -28,6 +28,7 @@ from adapters.smc30.unitaxis import address, only_axis
 from adapters.smc30.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import SerialLink
 from orchestrator.model.messages import StartWay
@@ -134,6 +135,9 @@ class SmcDriver(Driver):
             await startup.configure(unit, self._options, self._clock)
 
     # A step
+
+    def crystal(self) -> CrystalRate:
+        return self._crystal.rate
 
     def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
         ramp_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])

@@ -4,7 +4,7 @@ import click
 
 from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, fail, fleet_options, json_option, print_json, with_fleet
-from orchestrator.model.state import ClockMapping, ClockReply
+from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 
 @click.group(epilog="Example: tutti clock ls")
@@ -19,6 +19,7 @@ def ls(connect: str, fleet: str | None, as_json: bool) -> None:
     """List every controller's clock.
 
     rate: how far its ticks are longer than they should be. bound: the guaranteed error of a prediction now and in 5 s.
+    Of one without a clock to read: its rate, and the guaranteed error of that, from so many moves.
     """
     from orchestrator.client import Tutti
     from orchestrator.client.clocks import clocks
@@ -31,7 +32,7 @@ def ls(connect: str, fleet: str | None, as_json: bool) -> None:
             return
         table = plain_table(["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "readings>", "residual>"])
         for name, reply in found.items():
-            table.add_row(name, ", ".join(reply.start_classes), *_cells(reply.mapping))
+            table.add_row(name, ", ".join(reply.start_classes), *_cells(reply.mapping, reply.crystal))
         console.print(table)
 
     with_fleet(connect, fleet, act)
@@ -60,7 +61,10 @@ def show(controller: str, connect: str, fleet: str | None, as_json: bool) -> Non
     with_fleet(connect, fleet, act)
 
 
-def _cells(mapping: ClockMapping | None) -> list[str]:
+def _cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list[str]:
+    if mapping is None and crystal is not None:
+        known = f"{crystal.moves} moves" if crystal.consistent else "outside the model"
+        return [f"{-crystal.rate_ppm:+.1f} ppm", f"{crystal.bound_ppm:.1f} ppm", "", "", known, ""]
     if mapping is None:
         return ["no clock", "", "", "", "", ""]
     return [
@@ -74,7 +78,17 @@ def _cells(mapping: ClockMapping | None) -> list[str]:
 
 
 def _lines(reply: ClockReply) -> list[tuple[str, str]]:
-    mapping = reply.mapping
+    mapping, crystal = reply.mapping, reply.crystal
+    if mapping is None and crystal is not None:
+        fits = "fits" if crystal.consistent else "did not fit the last move: what was learned before is forgotten"
+        return [
+            ("starts by", ", ".join(reply.start_classes)),
+            ("clock", "none that can be read"),
+            ("crystal", f"{crystal.rate_ppm:+.2f} ppm fast, learned from {crystal.moves} moves"),
+            ("bound", f"{crystal.bound_ppm:.2f} ppm, guaranteed; standard deviation {crystal.error_ppm:.2f} ppm"),
+            ("residual", f"the last measurements are {crystal.residual_ppm:.2f} ppm from it on average"),
+            ("model", fits),
+        ]
     if mapping is None:
         return [("starts by", ", ".join(reply.start_classes)), ("clock", "none that can be read, or not known yet")]
     return [

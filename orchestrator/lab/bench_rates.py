@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.latency import Latency
-from orchestrator.clock.timed import BEFORE_END_NS, TimedMove
+from orchestrator.clock.timed import TimedMove
 from orchestrator.clock.unread import UnreadClock
 from orchestrator.lab.sync_fleets import DRIFT_PPM, HOLD_MS, PP_SPREAD_MS, WANDER_PPM
 from sim.core.oscillator import Oscillator
@@ -198,7 +198,7 @@ def _seen(
     end_ns = crystal.true_ns(began_ns + round(duration_s * NS_PER_S))
     asked_ns = heard_ns
     # Now and then from the start, and one question behind the other from before the quickest crystal's end.
-    near_ns = round(started_ns + duration_s * NS_PER_S * (1 - REACH_PPM * 1e-6)) - BEFORE_END_NS
+    near_ns = round(started_ns + duration_s * NS_PER_S * (1 - REACH_PPM * 1e-6)) - move.before_ns
     while True:
         arrives_ns = asked_ns + case.ask_characters * case.char_ns
         looked_ns = arrives_ns + _way_ns(case, draw) + _decoding_ns(case, draw)

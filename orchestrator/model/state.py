@@ -213,9 +213,26 @@ class ClockMapping(Model):
     consistent: bool = True
 
 
+class LearnedCrystal(Model):
+    """The crystal of a controller without a readable clock, from the moves that it has timed.
+
+    rate_ppm: how much faster than its host's clock. bound_ppm: guaranteed error; error_ppm: standard deviation;
+    residual_ppm: mean distance of the last measurements. consistent: the moves fit the model of link and crystal; else
+    what was learned before is forgotten.
+    """
+
+    rate_ppm: float
+    bound_ppm: float
+    error_ppm: float
+    residual_ppm: float
+    moves: int
+    consistent: bool = True
+
+
 class ClockReply(Model):
     """How well a controller's clock is known now; no mapping: it has none that can be read, or it is not known yet."""
 
     controller: Id
     start_classes: list[StartClass]
     mapping: ClockMapping | None
+    crystal: LearnedCrystal | None = Field(default=None, description="Of a controller without a clock to read.")

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from cluster.worlds import job, outcome, run_fleet
 
+from orchestrator.client.clocks import clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.lab.sync_fleets import ppsmc, shrc203, smc30
 from orchestrator.lab.virtual import VirtualFleet
@@ -56,6 +57,9 @@ def test_after_a_minute_of_motion_a_move_ends_within_tenths_of_a_millisecond(
         errors_ms = [await moved(world, 0 if number % 2 else way, speed) for number in range(5)]
         assert errors_ms[0] == pytest.approx(-1.2, abs=0.05)
         assert all(abs(each) < least_ms for each in errors_ms[2:])
+        crystal = (await clocks(world.client()))["u"].crystal
+        assert crystal is not None and crystal.consistent and crystal.moves == 5
+        assert abs(crystal.rate_ppm - FAST_PPM) < min(20, crystal.bound_ppm)
 
     run_fleet(main, fleet(name), seed)
 
