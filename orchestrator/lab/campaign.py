@@ -33,6 +33,7 @@ TRY_S = 10.0  # for a job that is to be refused
 READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
 END_NS = 40 * NS_PER_S  # for the rest of the jobs to end
 LOOK_NS = 200 * NS_PER_MS
+RESTS = 150  # looks at who rests, 7 ms apart
 HANDS = 0.3  # chance of somebody who jogs meanwhile
 
 # When, after its first request to the member, a stage is to be broken: earliest and latest.
@@ -271,7 +272,7 @@ class _Play:
 
     async def _see_who_rests(self, act: Act) -> None:
         """A controller that decodes a poll at this very moment is not at rest for a while: look more than once."""
-        for _ in range(40):
+        for _ in range(RESTS):
             act.resting |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
             if len(act.resting) == len(self.virtual.controllers):
                 return

@@ -248,7 +248,8 @@ class Judge:
         if step is None:
             self.violate("1/2", f"{label} moved at {_s(motion.start_ns)}, and nothing was decided")
             return
-        if name not in act.deaf:  # a unit that hung begins when it wakes with what it was sent before
+        # A unit that hung, or whose answers were lost, begins with what it was sent before, whoever has its lease.
+        if name not in act.deaf and name not in self._strange:
             self._judge_lease(label, name, axis_name, motion, step)
         row, report = self._fleet.journal.row(step.job), reports[step.job]
         if row is None or row.state == "done" or name in act.deaf:
