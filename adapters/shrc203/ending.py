@@ -50,11 +50,12 @@ class Ending:
         if timing.timed.duration_s < LONG_S:
             return
         session = self._session
-        begin_ns = move.started.earliest_ns + self.took_ns(timing.axis)[0] - timing.timed.before_ns
+        least_ns, most_ns = self.took_ns(timing.axis)
+        begin_ns = move.started.earliest_ns + least_ns - timing.timed.before_ns
         while timing.axis.motor in session.owed and move.stopped_ns is None:
             if self._clock.now_ns() < begin_ns:
                 await session.wait_changed(begin_ns)
-            elif not await timing.still_moves():
+            elif self._clock.now_ns() > move.started.latest_ns + most_ns or not await timing.still_moves():
                 break
 
     def learn(self, move: Move, timing: Timing, completed_ns: int | None, rest_ns: int) -> None:
