@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from orchestrator.cli.bench_clocks import clock, firing, sync
+from orchestrator.cli.bench_clocks import clock, firing, rates, sync
 from orchestrator.cli.bench_journal import journal
 from orchestrator.cli.bench_live import dispatch, estop, jog, kills, permit
 from orchestrator.cli.common import console, json_option, print_json
@@ -244,5 +244,5 @@ def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
     console.print(table)
 
 
-for command in (clock, dispatch, estop, firing, jog, journal, kills, permit, sync):
+for command in (clock, dispatch, estop, firing, jog, journal, kills, permit, rates, sync):
     bench.add_command(command)
