@@ -86,7 +86,7 @@ CASES = (
     replace(STAGE, name="SHRC-203, USB holds 0 to 16 ms", hold_ns=_HELD_NS),
     STEPS,
     replace(STEPS, name="SMC30, USB holds 0 to 16 ms", hold_ns=_HELD_NS),
-    replace(STEPS, name="… that tells where it is", hold_ns=_HELD_NS, positions=True),
+    replace(STEPS, name="SMC30 that tells where it is, USB", hold_ns=_HELD_NS, positions=True),
     PP,
 )
 
