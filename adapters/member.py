@@ -163,6 +163,8 @@ class Member:
                 await self._driver.go()
             except (CannotDo, DriverFault):
                 self.ticket = None
+                # It may have been released all the same: what was only not answered must not run either.
+                await self._driver.stop(False)
                 await self._driver.disarm()
                 raise
             if interruptions != self._interruptions or self.ticket is not released:

@@ -240,7 +240,7 @@ class Judge:
             if not low - 1 <= motion.end_counts <= high + 1:
                 self.violate("5", f"{label} went to {motion.end_counts}; limits {low} to {high}")
         jog = next((each for each in act.jogs if (each.controller, each.motor) == (name, motion.axis)), None)
-        if jog is not None and jog.from_ns <= motion.start_ns:
+        if jog is not None and jog.from_ns <= motion.start_ns <= jog.renewed_ns + BY_HAND_NS:
             if motion.end_ns > jog.renewed_ns + BY_HAND_NS + ramp_ns and name not in act.deaf:
                 self.violate("3", f"{label} moved {_s(motion.end_ns - jog.renewed_ns)} after the last word of a hand")
             return
