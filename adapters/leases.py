@@ -21,10 +21,11 @@ class _Lease:
 
 @dataclass(frozen=True, slots=True)
 class _Ended:
-    """Why the lease of a holder has ended; final: it was taken back, and no late renewal may revive it."""
+    """Why the lease of a holder has ended; final: it was taken back, and no late renewal may revive it, up to that of
+    the number `taking`; None: it was not taken back."""
 
     reason: str
-    final: bool
+    taking: int | None
 
 
 class Leases:
@@ -64,10 +65,10 @@ class Leases:
         if request.ttl_ms == 0:
             mine = [axis for axis in request.axes if self._holds(request.holder, axis)]
             self._end(mine, request.reason or "given back")
-            self._note_end(request.holder, request.reason or "given back", final=True)
+            self._note_end(request.holder, request.reason or "given back", request.taking)
             return
         ended = self._ends.get(request.holder)
-        if ended is not None and ended.final:
+        if ended is not None and ended.taking is not None and request.taking <= ended.taking:
             raise CannotDo("lease-over", f"the lease of {request.holder} is over", "take it under a new name")
         for axis in request.axes:
             lease = self._held.get(axis)
@@ -90,7 +91,8 @@ class Leases:
                 raise CannotDo("leased", f"axis {axis} is held by {lease.actor} ({lease.holder})", "wait, or ask them")
 
     def drop(self, reason: str) -> None:
-        """End all leases: another reign has begun, or nobody reigns."""
+        """End all leases: another reign has begun, which counts anew, or nobody reigns."""
+        self._ends = OrderedDict((holder, _Ended(each.reason, None)) for holder, each in self._ends.items())
         self._end(list(self._held), reason)
 
     def _holds(self, holder: str, axis: str) -> bool:
@@ -113,10 +115,10 @@ class Leases:
         for axis in axes:
             by_holder.setdefault(self._held.pop(axis).holder, []).append(axis)
         for holder, lost in by_holder.items():
-            self._note_end(holder, reason, final=False)
+            self._note_end(holder, reason, None)
             self._ended(holder, lost, reason)
 
-    def _note_end(self, holder: str, reason: str, final: bool) -> None:
-        self._ends[holder] = _Ended(reason, final)
+    def _note_end(self, holder: str, reason: str, taking: int | None) -> None:
+        self._ends[holder] = _Ended(reason, taking)
         if len(self._ends) > ENDS_KEPT:
             self._ends.popitem(last=False)

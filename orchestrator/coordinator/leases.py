@@ -26,7 +26,7 @@ class Held:
     """What one holder has. axes: `controller.axis`. until_ns: when it runs out unless taken again; None: never.
 
     brief: it ends in a moment; others wait for that instead of being refused. idle: the adapters do not know of it:
-    the axes are kept for the holder, who may not move them.
+    the axes are kept for the holder, who may not move them. taking: grows with each that is taken.
     """
 
     holder: str
@@ -36,6 +36,7 @@ class Held:
     until_ns: int | None
     brief: bool = False
     idle: bool = False
+    taking: int = 0
 
 
 class InUse(Refuse):
@@ -57,6 +58,7 @@ class LeaseBook:
         self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
+        self._takings = 0
         self._listeners: list[Callable[[str], None]] = []
 
     async def start(self) -> None:
@@ -144,7 +146,9 @@ class LeaseBook:
         until_ns = None if ttl_ns is None else self._clock.now_ns() + ttl_ns
         # Held from here on: nobody else may take them while the adapters are asked.
         idle = idle or (before is not None and before.idle)
-        held = self._held[holder] = Held(holder, actor, what, mine, until_ns, brief, idle)
+        self._takings += before is None
+        taking = self._takings if before is None else before.taking
+        held = self._held[holder] = Held(holder, actor, what, mine, until_ns, brief, idle, taking)
         if before is None or set(mine) != set(before.axes):
             try:
                 if not idle:
@@ -202,7 +206,9 @@ class LeaseBook:
 
         async def ask(controller: str, names: list[str]) -> Reply:
             fields = self._members.fields(held.actor)
-            request = LeaseRequest(**fields, axes=names, holder=held.holder, ttl_ms=ttl_ms, reason=reason)
+            request = LeaseRequest(
+                **fields, axes=names, holder=held.holder, taking=held.taking, ttl_ms=ttl_ms, reason=reason
+            )
             return await self._members.ask(controller, "lease", request, Reply, ANSWER_S)
 
         replies = await asyncio.gather(*(ask(c, names) for c, names in by_controller(held.axes).items()))

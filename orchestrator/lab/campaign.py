@@ -281,7 +281,11 @@ class _Play:
     async def _again_the_same(self, client: Tutti, act: Act, keys: dict[str, str]) -> None:
         """Invariant 6: who asks again, because an answer was lost, gets the same job."""
         job_id, order = next(iter(act.jobs.items()))
-        again = await client.submit(order.job, keys[order.job.name], order.terms)
+        try:
+            again = await client.submit(order.job, keys[order.job.name], order.terms)
+        except Refused as error:
+            self.judge.violate("9", f"a coordinator that can not take jobs answers for one: {error.refusal.text}")
+            return
         if again != job_id:
             self.judge.violate("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
 

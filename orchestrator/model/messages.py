@@ -204,9 +204,11 @@ class LeaseRequest(AxesRequest):
     """From now on only `holder` may move these axes, for `ttl_ms` or until it is said again; 0 takes it back.
 
     What the holder moves when its lease ends is stopped. A job's holder is its id. reason: why it is taken back.
+    taking: grows with each time that axes are taken, so that no late renewal revives what was taken back before.
     """
 
     holder: str
+    taking: Int53 = 0
     reason: str = ""
     ttl_ms: int = Field(ge=0, le=60_000)
 
