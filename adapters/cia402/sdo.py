@@ -56,6 +56,8 @@ class SdoClient:
             self._answered.append((data, at_ns))
         elif any(data == before and at_ns - then_ns < _STRAY_NS for before, then_ns in self._answered):
             self._strays += 1
+            # Once a request: a drive that nobody has acknowledged for a while lets its old answers go all at once.
+            self._answered.clear()
 
     def _fits(self, data: bytes) -> bool:
         if self._wanted is None:
