@@ -7,18 +7,20 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Any
 
-from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Setup, Span
+from drivers_together import Together
+
+from adapters.contract import CannotDo, Driver, DriverFault, Firer, Lowered, Outcome, Setup, Span
 from adapters.firing import LoopFirer
 from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
-from orchestrator.model.fleet import CanBusLink, Controller, SerialLink
+from orchestrator.model.fleet import Axis, CanBusLink, Controller, SerialLink
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Branch, SimulatedController, Timing, build_line
+from sim.core.controller import Branch, Motion, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
 
@@ -40,7 +42,8 @@ class Case:
     """A controller as in a fleet file, its simulator's options, the port of it that the link leads to.
 
     beside: addresses of controllers like it on the same line, which are polled all the while. led: its motion is led by
-    the adapter, position by position, and ends with the connection.
+    the adapter, position by position, and ends with the connection. also: controllers of the same make, each on a wire
+    of its own, with axes of other names, that take part in every step.
     """
 
     config: Mapping[str, Any]
@@ -48,6 +51,7 @@ class Case:
     port: str
     beside: tuple[int, ...] = ()
     led: bool = False
+    also: "tuple[Case, ...]" = ()
 
     @property
     def controller(self) -> Controller:
@@ -94,6 +98,7 @@ STAGE = {"divide": 20, "speed": [100, 20000, 100]}
 CAN = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "unit": 3}
 DRIVE = {**SERVO, "homing": {"method": "home_switch_negative"}}
 SMOOTH = {**DRIVE, "limits": {"velocity": 80, "acceleration": 400, "jerk": 8000}}
+PROMPT = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
 SWITCH = {"home_switch": [-3000, -2000]}
 CASES = {
     "smc4000 on TCP": case("smc4000", TCP, {"x": "X", "y": "Y"}, SERVO, {"axes": 2, **YASKAWA}, "tcp"),
@@ -165,37 +170,82 @@ CASES = {
     "cia402, streamed to, two on one bus": replace(
         case("cia402", CAN, {"u": "1"}, SMOOTH, SWITCH, "can"), beside=(120,), led=True
     ),
+    # Of one number: what belongs to one bus must not be taken for the other's. No SYNC is for both; only that each is
+    # written at the instant has them start together.
+    "cia402, two on two buses": replace(
+        case("cia402", CAN, {"u": "1"}, DRIVE, SWITCH, "can", **PROMPT),
+        also=(case("cia402", {**CAN, "channel": "can1"}, {"v": "1"}, DRIVE, SWITCH, "can", **PROMPT),),
+    ),
 }
 
 
-@dataclass
-class World:
-    """A driver and the controller that it drives, with the controller's truth.
+@dataclass(frozen=True)
+class Unit:
+    """A controller of the step and its driver, with the wire between them. beside: drivers of the others on the wire,
+    by name."""
 
-    polled_beside: how often each of the other controllers on its line has been read.
-    """
-
-    clock: VirtualClock
     config: Controller
     controller: SimulatedController
     wire: MemoryWire
     driver: Driver
+    beside: Mapping[str, Driver]
+
+
+@dataclass
+class World:
+    """A driver and the controllers that it drives, with their truth.
+
+    units: one, or one a wire. driver: of all of them. polled_beside: how often each of the other controllers on their
+    lines has been read.
+    """
+
+    clock: VirtualClock
+    units: Sequence[Unit]
+    driver: Driver
     draw: Random
     polled_beside: dict[str, int]
 
-    def motor(self, axis: str) -> str:
-        return self.config.axes[axis].motors[0]
+    @property
+    def hit(self) -> Unit:
+        """What faults befall, and what has the wired line. What is on other wires has to cope with it."""
+        return self.units[0]
 
     @property
     def axes(self) -> list[str]:
-        return list(self.config.axes)
+        return [axis for unit in self.units for axis in unit.config.axes]
+
+    def axis(self, name: str) -> Axis:
+        return next(unit.config.axes[name] for unit in self.units if name in unit.config.axes)
+
+    def _its(self, axis: str) -> tuple[SimulatedController, str]:
+        """The controller of an axis, and what it calls the axis."""
+        controller = next(unit.controller for unit in self.units if axis in unit.config.axes)
+        return controller, self.axis(axis).motors[0]
+
+    def position(self, axis: str) -> float:
+        controller, motor = self._its(axis)
+        return controller.position(motor)
+
+    def velocity(self, axis: str) -> float:
+        controller, motor = self._its(axis)
+        return controller.velocity(motor)
+
+    def moving(self, axis: str) -> bool:
+        controller, motor = self._its(axis)
+        return controller.moving(motor)
 
     def positions(self) -> dict[str, float]:
-        return {axis: self.controller.position(self.motor(axis)) for axis in self.axes}
+        return {axis: self.position(axis) for axis in self.axes}
 
     @property
     def at_rest(self) -> bool:
-        return not any(self.controller.moving(self.motor(axis)) for axis in self.axes)
+        return not any(self.moving(axis) for axis in self.axes)
+
+    @property
+    def motions(self) -> list[tuple[Unit, Motion]]:
+        """Every commanded motion, in order of start."""
+        every = [(unit, motion) for unit in self.units for motion in unit.controller.motions]
+        return sorted(every, key=lambda each: each[1].start_ns)
 
     # What an adapter does with it
 
@@ -224,7 +274,7 @@ class World:
         order = max(self.driver.capabilities.orders)
         moves: list[AxisMove] = []
         for name, target in targets.items():
-            axis, here = self.config.axes[name], now[name].commanded_counts
+            axis, here = self.axis(name), now[name].commanded_counts
             scale, limits = float(axis.scale), axis.limits
             jerk = None if limits.jerk is None else limits.jerk * scale
             velocity, acceleration = limits.velocity * scale, limits.acceleration * scale
@@ -256,7 +306,7 @@ class World:
 
     def line(self, active: bool) -> None:
         """Make the wired input active, or passive."""
-        self.controller.set_input(1, active == (self.config.inputs["line"].active == "high"))
+        self.hit.controller.set_input(1, active == (self.hit.config.inputs["line"].active == "high"))
 
     async def rest(self, within_ns: int) -> None:
         """Wait until no axis moves."""
@@ -269,54 +319,67 @@ class World:
         await sleep_until_ns(self.clock, at_ns)
 
 
+def build(clock: VirtualClock, chosen: Case, name: str, firer: Firer, seed: int, ppm: float) -> Unit:
+    """The wire of a case with the controllers on it, and a driver of each. name: of the one that it is about."""
+    config = chosen.controller
+    make = find_make(config.adapter)
+    make.check(config)
+    own = config.link.unit if isinstance(config.link, SerialLink | CanBusLink) else None
+
+    def branch(address: int | None) -> Branch:
+        oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
+        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+        return Branch(address, chosen.simulate, oscillator, timing, seed)
+
+    addresses = {name: own, **{f"beside {name} {each}": each for each in chosen.beside}}
+    in_order = dict(sorted(addresses.items(), key=lambda each: each[1] or 0))
+    line = build_line(simulator(config.adapter), clock, {each: branch(a) for each, a in in_order.items()})
+    model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
+    if config.link.kind == "can":
+        model = can_wire()
+    if config.link.kind == "tcp" and chosen.port == "serial":
+        # A bridge hands bytes on as quickly as its serial side takes them.
+        model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
+    wire = MemoryWire(clock, model, line.far, chosen.port, config.link.place, copy_context(), seed)
+    options = make.options.model_validate(config.options)
+    shared: dict[str, Any] = {}
+
+    def driver_of(each: str) -> Driver:
+        link = config.link
+        if each != name:
+            link = link.model_copy(update={"unit": addresses[each]})
+        its = config.model_copy(update={"link": link})
+        return make.driver(Setup(each, its, options, clock, wire.open, firer, shared))
+
+    driver, *beside = [driver_of(each) for each in addresses]
+    others = dict(zip(list(addresses)[1:], beside, strict=True))
+    return Unit(config, line.units[name], wire, driver, others)
+
+
 def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm: float = 40.0) -> None:
     """Run `main` with the world of a case."""
 
     async def within(clock: VirtualClock) -> None:
-        chosen = CASES[name]
-        config, draw = chosen.controller, Random(seed)
-        make = find_make(config.adapter)
-        make.check(config)
-        own = config.link.unit if isinstance(config.link, SerialLink | CanBusLink) else None
-
-        def branch(address: int | None) -> Branch:
-            oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
-            timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
-            return Branch(address, chosen.simulate, oscillator, timing, seed)
-
-        addresses = {"it": own, **{f"beside{each}": each for each in chosen.beside}}
-        in_order = dict(sorted(addresses.items(), key=lambda each: each[1] or 0))
-        line = build_line(simulator(config.adapter), clock, {name: branch(a) for name, a in in_order.items()})
-        controller = line.units["it"]
-        model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
-        if config.link.kind == "can":
-            model = can_wire()
-        if config.link.kind == "tcp" and chosen.port == "serial":
-            # A bridge hands bytes on as quickly as its serial side takes them.
-            model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
-        wire = MemoryWire(clock, model, line.far, chosen.port, config.link.place, copy_context(), seed)
+        chosen, draw = CASES[name], Random(seed)
         firer = LoopFirer(clock, lambda: draw.randrange(60 * NS_PER_US))
-        options = make.options.model_validate(config.options)
-        shared: dict[str, Any] = {}
-
-        def driver_of(name: str) -> Driver:
-            link = config.link
-            if name != "it":
-                link = link.model_copy(update={"unit": addresses[name]})
-            its = config.model_copy(update={"link": link})
-            return make.driver(Setup(name, its, options, clock, wire.open, firer, shared))
-
-        driver = driver_of("it")
+        units = [build(clock, chosen, "it", firer, seed, ppm)]
+        for number, each in enumerate(chosen.also, 1):
+            # Its clock goes wrong the other way.
+            units.append(build(clock, each, f"also{number}", firer, seed + 1000 * number, -ppm))
+        driver = units[0].driver
+        if chosen.also:
+            driver = Together({unit.driver: list(unit.config.axes) for unit in units})
+        beside = {name: each for unit in units for name, each in unit.beside.items()}
+        world = World(clock, units, driver, draw, dict.fromkeys(beside, 0))
         loop = asyncio.get_running_loop()
-        world = World(clock, config, controller, wire, driver, draw, dict.fromkeys(addresses.keys() - {"it"}, 0))
 
         def poll_beside(name: str) -> "asyncio.Task[None]":
             def polled() -> None:
                 world.polled_beside[name] += 1
 
-            return loop.create_task(poll_for_ever(clock, driver_of(name), polled))
+            return loop.create_task(poll_for_ever(clock, beside[name], polled))
 
-        others = [poll_beside(name) for name in world.polled_beside]
+        others = [poll_beside(name) for name in beside]
         try:
             await main(world)
         finally:
@@ -351,5 +414,9 @@ def evidence_holds(world: World, spans: Mapping[str, Span], truth: Mapping[str, 
 
 def motions(world: World, since: int) -> dict[str, Any]:
     """The commanded motions since a number of them, by axis of the fleet file: one each."""
-    names: Sequence[str] = world.axes
-    return {name: m for m in world.controller.motions[since:] for name in names if world.motor(name) == m.axis}
+    return {
+        name: motion
+        for unit, motion in world.motions[since:]
+        for name, axis in unit.config.axes.items()
+        if axis.motors[0] == motion.axis
+    }

@@ -48,7 +48,7 @@ def test_motors_are_switched_and_references_found(name: str) -> None:
         assert not any(axis.enabled for axis in (await world.driver.poll()).axes.values())
         with pytest.raises(CannotDo, match="enable"):
             await world.driver.home(world.axes, lambda _: None)
-        assert not world.controller.motions
+        assert not world.motions
         await world.driver.enable(world.axes, True)
         assert all(axis.enabled for axis in (await world.driver.poll()).axes.values())
         found: list[str] = []
@@ -66,7 +66,7 @@ def test_a_step_does_what_was_lowered_and_its_evidence_holds_the_truth(name: str
     async def main(world: World) -> None:
         await world.ready(60)
         for factor in (1.0, -0.4, 2.0):
-            before = len(world.controller.motions)
+            before = len(world.motions)
             lowered, started, outcome, t0_ns, profiles = await world.move(targets(world, factor))
             assert outcome.state == "done", outcome
             made = motions(world, before)
@@ -97,7 +97,7 @@ def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
                     world.driver.lower(profiles, StartWay(by=by), mapping)
                 assert caught.value.refusal.code == "start-class"
                 assert caught.value.refusal.remedy
-        assert not world.controller.motions
+        assert not world.motions
 
     run(name, main)
 
@@ -112,7 +112,7 @@ def test_a_move_waits_for_its_line_and_its_evidence_holds_the_truth(name: str, s
         window_ns = NS_PER_MS
         how = StartWay(wait=LineWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
         for factor in (1.0, -0.4):
-            before = len(world.controller.motions)
+            before = len(world.motions)
             profiles = await world.plan(targets(world, factor))
             lowered, t0_ns = await world.arm(profiles, how)
             assert lowered.start_class == "line"
@@ -161,7 +161,7 @@ def test_a_line_that_is_active_already_is_refused_and_a_disarmed_move_does_not_w
             await world.driver.disarm()
             world.line(True)
             await sleep_ns(world.clock, NS_PER_S)
-            assert not world.controller.motions
+            assert not world.motions
             world.line(False)
         with pytest.raises(CannotDo) as caught:
             world.driver.lower(
@@ -178,10 +178,11 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
         hold_ns = 50 * NS_PER_MS
         how = StartWay(drive=LineDrive(output="line", hold_ns=hold_ns))
         changes: list[tuple[int, bool]] = []
-        world.controller.on_output(lambda number, level: changes.append((world.clock.now_ns(), level)))
+        for unit in world.units:
+            unit.controller.on_output(lambda number, level: changes.append((world.clock.now_ns(), level)))
         for moves in (False, True):
             changes.clear()
-            before = len(world.controller.motions)
+            before = len(world.motions)
             profiles = await world.plan(targets(world)) if moves else {}
             lowered, t0_ns = await world.arm(profiles, how)
             assert lowered.edge
@@ -196,7 +197,7 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
             earliest_ns = sum(term.earliest_ns for term in lowered.edge)
             assert earliest_ns <= edge_ns - t0_ns <= sum(term.latest_ns for term in lowered.edge)
             assert released_ns - edge_ns >= hold_ns * 0.99
-            assert len(world.controller.motions) - before == len(profiles)
+            assert len(world.motions) - before == len(profiles)
         changes.clear()
         await world.arm({}, how)
         await world.driver.disarm()
@@ -310,25 +311,25 @@ def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         axis, *others = world.axes
-        config = world.config.axes[axis]
+        config = world.axis(axis)
         speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
         end = round(speed)
         await world.driver.jog(axis, JogMove(speed, ramp, end))
         fastest = 0.0
         for _ in range(300):
             await sleep_ns(world.clock, 10 * NS_PER_MS)
-            fastest = max(fastest, abs(world.controller.velocity(world.motor(axis))))
-            assert world.controller.position(world.motor(axis)) <= end
+            fastest = max(fastest, abs(world.velocity(axis)))
+            assert world.position(axis) <= end
         assert 0.8 * speed < fastest <= speed * (1 + 1e-4)  # as fast as its crystal is
-        assert world.controller.position(world.motor(axis)) == end
+        assert world.position(axis) == end
         await world.driver.jog(axis, JogMove(-speed, ramp, None))
         for other in others:
             await world.driver.jog(other, JogMove(speed, ramp, None))
         await sleep_ns(world.clock, 300 * NS_PER_MS)
         await world.driver.stop_axes([axis])
         await sleep_ns(world.clock, 400 * NS_PER_MS)
-        assert not world.controller.moving(world.motor(axis))
-        assert all(world.controller.moving(world.motor(other)) for other in others)
+        assert not world.moving(axis)
+        assert all(world.moving(other) for other in others)
         await world.driver.stop(False)
         await world.rest(world.driver.capabilities.costs.stop_ns)
         await world.poll(3)
@@ -348,7 +349,7 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
         t0_ns = world.clock.now_ns() + 3 * NS_PER_S
         if call == "verify":
             await world.driver.arm(lowered, t0_ns, mapping)
-        world.wire.cut = True
+        world.hit.wire.cut = True
         calls = {
             "connect": lambda: world.driver.connect(),
             "configure": lambda: world.driver.configure(),
@@ -365,7 +366,7 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
         assert world.clock.now_ns() - began_ns < 10 * NS_PER_S
         if isinstance(caught.value, DriverFault):
             assert caught.value.fault.remedy
-        world.wire.cut = False
+        world.hit.wire.cut = False
         await world.leave()
         await world.driver.connect()
         await world.driver.configure()
@@ -385,7 +386,7 @@ def test_noise_is_said_and_survived(name: str, seed: int) -> None:
         def garble(data: bytes) -> bytes:
             return bytes(world.draw.randrange(256) if world.draw.random() < 0.2 else each for each in data)
 
-        world.wire.to_near = garble
+        world.hit.wire.to_near = garble
         wrong = 0
         for _ in range(20):
             try:
@@ -396,7 +397,7 @@ def test_noise_is_said_and_survived(name: str, seed: int) -> None:
                 with contextlib.suppress(DriverFault, LinkClosed, LinkRefused):
                     await world.driver.connect()
         assert wrong
-        world.wire.to_near = None
+        world.hit.wire.to_near = None
         await world.leave()
         await sleep_ns(world.clock, NS_PER_S)
         await world.driver.connect()
@@ -414,9 +415,9 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
         await world.arm(await world.plan(targets(world)))
         await world.driver.verify()
         await world.driver.go()
-        world.controller.set_power(False)
+        world.hit.controller.set_power(False)
         await sleep_ns(world.clock, NS_PER_S)
-        world.controller.set_power(True)
+        world.hit.controller.set_power(True)
         await sleep_ns(world.clock, 5 * NS_PER_S)
         noticed = False
         for _ in range(5):
@@ -429,7 +430,7 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
                 await world.driver.configure()
         assert noticed
         assert world.at_rest
-        assert not any(motion.end_counts != motion.start_counts for motion in world.controller.motions)
+        assert not any(motion.end_counts != motion.start_counts for motion in world.hit.controller.motions)
         await world.driver.enable(world.axes, True)
         await world.poll(40)
         _, _, outcome, _, _ = await world.move(targets(world))

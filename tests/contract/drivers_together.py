@@ -1,0 +1,182 @@
+"""Drivers of one step, each on a wire of its own, seen as one driver: what a coordinator does with a step's members."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from adapters.contract import (
+    AxisReading,
+    CannotDo,
+    Capabilities,
+    Driver,
+    Identity,
+    JogMove,
+    Lowered,
+    Outcome,
+    Reading,
+    Span,
+)
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.model.state import Costs
+
+T = TypeVar("T")
+
+
+async def at_once(calls: Iterable[Awaitable[T]]) -> list[T]:
+    """What all of them give. The first failure is raised when all have come to their end."""
+    results = await asyncio.gather(*calls, return_exceptions=True)
+    for each in results:
+        if isinstance(each, BaseException):
+            raise each
+    return [each for each in results if not isinstance(each, BaseException)]
+
+
+def highest(costs: Sequence[Costs]) -> Costs:
+    return Costs(
+        arm_ns=max(each.arm_ns for each in costs),
+        disarm_ns=max(each.disarm_ns for each in costs),
+        stop_ns=max(each.stop_ns for each in costs),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LoweredTogether(Lowered):
+    """parts: by the number of the driver."""
+
+    parts: Mapping[int, Lowered]
+
+
+class Together(Driver):
+    """Drivers alike, of a make whose clock can not be read: no mapping would be that of all. All calls go to all of
+    them that they concern, at the same instant. Inputs and outputs are those of the first one."""
+
+    def __init__(self, drivers: Mapping[Driver, Sequence[str]]) -> None:
+        """drivers: with their axes, which are no other's."""
+        self._drivers = list(drivers)
+        self._axes = [set(axes) for axes in drivers.values()]
+        self._members: list[Driver] = []
+
+    def _of(self, axes: Sequence[str]) -> list[tuple[Driver, list[str]]]:
+        """The drivers of some axes, each with its own."""
+        parts = [(one, [axis for axis in axes if axis in own]) for one, own in self._each()]
+        return [(one, own) for one, own in parts if own]
+
+    def _each(self) -> Iterable[tuple[Driver, set[str]]]:
+        return zip(self._drivers, self._axes, strict=True)
+
+    async def connect(self) -> Identity:
+        found = await at_once(each.connect() for each in self._drivers)
+        return Identity(
+            model=" ".join(each.model for each in found),
+            firmware=" ".join(each.firmware for each in found),
+            serial=" ".join(each.serial for each in found),
+        )
+
+    async def configure(self) -> None:
+        await at_once(each.configure() for each in self._drivers)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The first one's, which all have; costs are those that hold for all."""
+        every = [each.capabilities for each in self._drivers]
+        first, costs = every[0], highest([each.costs for each in every])
+        return Capabilities(first.start_classes, first.orders, first.independent_axes, costs)
+
+    async def poll(self) -> Reading:
+        readings = await at_once(each.poll() for each in self._drivers)
+        axes: dict[str, AxisReading] = {}
+        for each in readings:
+            axes |= each.axes
+        return Reading(
+            at_ns=readings[0].at_ns,
+            axes=axes,
+            inputs=readings[0].inputs,
+            outputs=readings[0].outputs,
+            faults=[fault for each in readings for fault in each.faults],
+            restarted=any(each.restarted for each in readings),
+        )
+
+    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> LoweredTogether:
+        """A line that is driven is the first one's. Drivers alike start alike; costs are those that hold for all."""
+        parts: dict[int, Lowered] = {}
+        for number, (one, own) in enumerate(self._each()):
+            its = {axis: profile for axis, profile in profiles.items() if axis in own}
+            its_way = how if number == 0 else how.model_copy(update={"drive": None})
+            if its or its_way.drive is not None:
+                parts[number] = one.lower(its, its_way, mapping)
+        every = list(parts.values())
+        first = every[0]
+        assert all((each.start_class, each.terms) == (first.start_class, first.terms) for each in every)
+        return LoweredTogether(
+            start_class=first.start_class,
+            durations_s={axis: s for each in every for axis, s in each.durations_s.items()},
+            path_error_counts={axis: counts for each in every for axis, counts in each.path_error_counts.items()},
+            terms=first.terms,
+            tick_ns=max(each.tick_ns for each in every),
+            costs=highest([each.costs for each in every]),
+            commands=tuple(command for each in every for command in each.commands),
+            parts=parts,
+            edge=first.edge,
+            clock_ppm=max(each.clock_ppm for each in every),
+        )
+
+    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, LoweredTogether)
+        self._members = [self._drivers[number] for number in lowered.parts]
+        stages = await at_once(
+            self._drivers[number].arm(part, t0_ns, mapping) for number, part in lowered.parts.items()
+        )
+        return {name: max(each.get(name, 0) for each in stages) for name in stages[0]}
+
+    async def verify(self) -> None:
+        await at_once(each.verify() for each in self._members)
+
+    async def go(self) -> None:
+        await at_once(each.go() for each in self._members)
+
+    async def disarm(self) -> None:
+        await at_once(each.disarm() for each in self._drivers)
+
+    async def started(self) -> Mapping[str, Span]:
+        found = await at_once(each.started() for each in self._members)
+        return {axis: span for each in found for axis, span in each.items()}
+
+    async def outcome(self) -> Outcome:
+        """As one that was not done, if there is one."""
+        found = await at_once(each.outcome() for each in self._members)
+        worst = next((each for each in found if each.state != "done"), found[0])
+        return Outcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
+
+    async def stop(self, abort: bool) -> None:
+        await at_once(each.stop(abort) for each in self._drivers)
+
+    async def enable(self, axes: Sequence[str], on: bool) -> None:
+        await at_once(one.enable(own, on) for one, own in self._of(axes))
+
+    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+        missed = await at_once(one.home(own, found) for one, own in self._of(axes))
+        return {axis: reason for each in missed for axis, reason in each.items()}
+
+    async def jog(self, axis: str, move: JogMove) -> None:
+        await at_once(one.jog(axis, move) for one, _ in self._of([axis]))
+
+    async def stop_axes(self, axes: Sequence[str]) -> None:
+        await at_once(one.stop_axes(own) for one, own in self._of(axes))
+
+    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        await at_once(one.load_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
+
+    async def set_output(self, number: int, on: bool) -> None:
+        await self._drivers[0].set_output(number, on)
+
+    async def clear_faults(self) -> None:
+        await at_once(each.clear_faults() for each in self._drivers)
+
+    async def raw(self, command: str) -> str:
+        return await self._drivers[0].raw(command)
+
+    async def close(self) -> None:
+        await at_once(each.close() for each in self._drivers)
