@@ -116,12 +116,14 @@ class Start:
     async def _wait_for_program(self, loaded: _Loaded) -> None:
         while True:
             (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{STEP_THREAD}", "XLATE")
+            waits = int(armed) == loaded.ticks
+            # The program ends by itself, too, when it comes to its gate after that was to be shut.
+            if (waits and late) or self._clock.now_ns() > loaded.t0_ns:
+                raise CannotDo("late", "T0 has come while arming", "give more lead time")
             if not running:
                 raise CannotDo("not-armed", "the waiting program has ended by itself", "look at TC1; try again")
-            if int(armed) == loaded.ticks and not late:
+            if waits:
                 return
-            if self._clock.now_ns() > loaded.t0_ns:
-                raise CannotDo("late", "T0 has come while arming", "give more lead time")
 
     def _require_ready(self, record: Record, lowered: LoweredMoves) -> None:
         if lowered.waits is not None:
