@@ -17,7 +17,7 @@ from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
 from adapters.yaskawa.registers import exact_ramp
-from adapters.yaskawa.trapezoid import Bounds, Trapezoid, fit, last_sample
+from adapters.yaskawa.trapezoid import Bounds, Place, Trapezoid, fit
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
@@ -32,6 +32,7 @@ OFF_SAMPLES = 0.2  # an independent move may last so much longer or shorter than
 STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan is stretched to it
 SKEW_SAMPLES = 10.0  # and be so far from its plan on the way, at its peak speed,
 NEAR_COUNTS = 2.0  # or so many counts
+LATER_TICKS = 4.0  # an end that all members have in common is later than the plan's by no more
 HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # how much longer a command may take: what expressions add is not stated (L1626)
 
@@ -161,7 +162,7 @@ def lower_moves(
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
     shapes, why = _by_registers(way, bounds, tick_ns, model)
     if shapes is not None and how.exact and how.wait is None:
-        shapes = _ending_with_the_plan(shapes, way, bounds, mapping, how.lead_ns, model)
+        shapes = _ending_together(shapes, way, bounds, mapping, how, model)
     load: Registers | Records
     note: tuple[str, ...] = ()
     slow = isinstance(packets, arrays.SlowUpload)
@@ -201,21 +202,25 @@ def _by_registers(
     return shapes, reasons[0] if reasons else ""
 
 
-def _ending_with_the_plan(
+def _ending_together(
     shapes: Mapping[str, Trapezoid],
     way: Mapping[str, Profile],
     bounds: Mapping[str, Bounds],
     mapping: TickMapping,
-    lead_ns: int,
+    how: StartWay,
     model: Model,
 ) -> dict[str, Trapezoid]:
-    """The same moves, ending at the samples next to the plan's end, where the registers can do that as well."""
-    at = mapping.ticks(mapping.host_at_ns + lead_ns)
+    """The same moves, ending at the samples next to where all should end, where the registers can do that as well."""
+    at = mapping.ticks(mapping.host_at_ns + how.lead_ns)
     phase = round(at) - at
     found = dict(shapes)
     for axis, profile in way.items():
-        shape = fit(axis, profile, bounds[axis], mapping.tick_ns, model, phase)
-        in_time = shape.samples == last_sample(profile, mapping.tick_ns, phase)
+        ends_ns = profile.duration_s * 1e9
+        # An axis that ends before the others has an end of its own.
+        ends_ns = how.end_ns if 0.0 <= how.end_ns - ends_ns <= LATER_TICKS * mapping.tick_ns else ends_ns
+        place = Place(phase, round(ends_ns / mapping.tick_ns - phase))
+        shape = fit(axis, profile, bounds[axis], mapping.tick_ns, model, place)
+        in_time = shape.samples == place.last
         if in_time and _near(shape, profile, mapping.tick_ns):
             found[axis] = shape
     return found

@@ -94,17 +94,21 @@ class _Law:
         return self.peak / self.up, self.length - self.peak / self.down
 
 
-def last_sample(profile: Profile, tick_ns: float, phase: float) -> int:
-    """The sample, from the one of the begin on, next to the end of the plan. phase: samples from T0 to the begin."""
-    return round(profile.duration_s * 1e9 / tick_ns - phase)
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a move lies on its controller's samples. phase: samples from T0 to the begin. last: the sample, from the
+    one of the begin on, at which it should end."""
+
+    phase: float
+    last: int
 
 
 def fit(
-    name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model, phase: float | None = None
+    name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model, place: Place | None = None
 ) -> Trapezoid:
-    """The registers for `profile` that come nearest. tick_ns: length of a sample in host time. phase: samples from T0
-    to the begin, if known: then any duration is as good as another that ends at the same sample, and near to the plan
-    is what is near to it about T0, so that the ramp up makes good for the begin beside it.
+    """The registers for `profile` that come nearest. tick_ns: length of a sample in host time. place: if known; then
+    any duration is as good as another that ends at the same sample, and near to the plan is what is near to it about
+    T0, so that the ramp up makes good for the begin beside it.
 
     Raises `CannotDo` naming what would fit.
     """
@@ -130,8 +134,8 @@ def fit(
         )
     way = float(abs(distance))
     planned, ramp = profile.duration_s / tick_s, ramp_s / tick_s
-    last = planned if phase is None else last_sample(profile, tick_ns, phase)
-    early, late = (planned - NEAR, planned + NEAR) if phase is None else (last - 1 + NEAR, last - NEAR)
+    phase = 0.0 if place is None else place.phase
+    early, late = (planned - NEAR, planned + NEAR) if place is None else (place.last - 1 + NEAR, place.last - NEAR)
     wanted = min(max(planned, early), late)
     plan_speed = way / (planned - ramp)
     plan = _Law.of(way, plan_speed, plan_speed / ramp, plan_speed / ramp)
@@ -141,7 +145,7 @@ def fit(
         return [
             (weight * max(0.0, early - length, length - late) + apart, speed, up, down)
             for speed, up, down in set(candidates)
-            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT, phase or 0.0)]
+            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT, phase)]
         ]
 
     ranked = rank(_by_speed(plan, wanted, top_speed, top_ramp, model))
@@ -152,11 +156,11 @@ def fit(
     for _, speed, up, down in heapq.nsmallest(FINALISTS, ranked):
         law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
         off = law.length - planned
-        error = _path_error(profile, law, tick_s, phase or 0.0)
+        error = _path_error(profile, law, tick_s, phase)
         real_rank = weight * max(0.0, early - law.length, law.length - late) + error
         if real_rank < best_rank:
             at_limit = off > 0.0 and (speed == top_speed or up == top_ramp)
-            beside = error if phase is None else _path_error(profile, law, tick_s, 0.0)
+            beside = error if place is None else _path_error(profile, law, tick_s, 0.0)
             best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, beside), real_rank
     assert best is not None
     return best

@@ -255,13 +255,15 @@ class Motion:
                 return
 
     async def _arm(self, moving: Moving, step: Move) -> None:
+        ends_ns = moving.t0_fleet_ns + round(moving.plan.duration_s * NS_PER_S)
+        end_ns = self._proposing.start(moving, ends_ns, 0) - moving.t0_fleet_ns
         requests = {
             member: Arm(
                 **self._ref(moving),
                 digest=self._view.fleet.controllers[member].digest,
                 t0_fleet_ns=moving.t0_ns(member),
                 profiles=moving.profiles(member),
-                start=start_way(moving, step, member),
+                start=start_way(moving, step, member).model_copy(update={"end_ns": end_ns}),
             )
             for member in moving.proposals
         }

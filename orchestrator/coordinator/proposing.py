@@ -64,7 +64,7 @@ class Proposing:
         moving.lead_ns, moving.budget = agreed.lead_ns, agreed.budget
 
     def start(self, moving: Moving, from_ns: int, within_ns: int) -> int:
-        """The start instant from `from_ns` on, fleet time, at which the members' ticks fall closest together."""
+        """The instant from `from_ns` on, fleet time, at which the members' ticks fall closest together."""
         grids = [
             Grid(each.tick_at_fleet_ns, each.tick_ns)
             for member, each in moving.proposals.items()

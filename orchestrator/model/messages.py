@@ -103,13 +103,15 @@ class StartWay(Model):
     of the controller's clock, at the most: what is promised of clocks is promised for so long. drive: a member may
     drive a line and move axes as well, or only drive it (no profiles). exact: T0 is just so far ahead. brake_s: how
     long a stop from the peak velocity should take, so that all axes of the step stay on their common path and come to
-    rest together; 0: as short as the limits allow.
+    rest together; 0: as short as the limits allow. end_ns: how long after T0 a member that ends at ticks of its own
+    should end: at most some ticks after the plan, where all members' ticks fall close together; 0: with the plan.
     """
 
     by: StartWish = "auto"
     lead_ns: Int53 = 0
     exact: bool = False
     brake_s: float = 0.0
+    end_ns: Int53 = 0
     wait: LineWait | None = None
     drive: LineDrive | None = None
 
