@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -60,6 +61,7 @@ from orchestrator.model.state import ControllerState
 T = TypeVar("T")
 
 ADOPT_S = 2.0
+LEAVE_S = 2.0
 _READING = ("list", "show", "recording")
 """Verbs that may be done twice; their answers are too large to keep."""
 
@@ -219,8 +221,11 @@ class Coordinator:
         self._log.warning(reason, epoch=self.throne.epoch)
 
         async def leave() -> None:
-            for declared in self._declared:
-                await declared.undeclare()
+            # A process that slept may have lost its router, and would wait for it to be back.
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LEAVE_S):
+                    for declared in self._declared:
+                        await declared.undeclare()
             self._declared.clear()
             self.deposed.set()
 
