@@ -11,7 +11,7 @@ from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.journal import JobRow, Journal, JournalError, Runs
 from orchestrator.coordinator.leases import InUse, LeaseBook
-from orchestrator.coordinator.motion import Motion
+from orchestrator.coordinator.motion import HELD, Motion
 from orchestrator.coordinator.queue import axes_of, steps_to_run
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.steps import PlainSteps, check_job
@@ -240,11 +240,10 @@ class JobRun:
         goal: dict[str, Fraction] = {}
         while True:
             report = await self._run_step(index, step, goal)
-            held = report.state == "stopped" if report.refused is None else report.refused.code == "held"
-            if not (self._braked and held):
+            if report.refused is None or report.refused.code != HELD:
                 return report.model_copy(update={"holds": holds})
-            if report.refused is None:
-                works, by = self._works, self._paused_by or ""
+            if report.state == "stopped":
+                works, by = self._works, self._paused_by or self._resumed_by
                 holds.append(Held(by=by, utc=works.clock.utc(), rest_skew=report.end_skew))
                 self._part = self._within()
             self._step_t0_ns = 0

@@ -25,6 +25,7 @@ from orchestrator.model.messages import (
     Commit,
     Disarm,
     Go,
+    Refusal,
     Reply,
     StepRef,
     Stop,
@@ -39,6 +40,7 @@ STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it 
 STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other member on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
+HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
 ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
 
@@ -311,7 +313,6 @@ class Motion:
         """Unload all, each for itself: a member that says it moves already, or says nothing, is stopped as well, and
         no other one's silence holds that up."""
         movers = moving.movers
-
         moving.unloaded = True
 
         async def unload(member: str) -> None:
@@ -351,7 +352,9 @@ class Motion:
                     failure = (event.kind, f"{member}: {event.text}")
             failure = failure or self._overdue(moving, waiting_start, waiting_end, ends_ns)
         if held and failure is None:
-            return self._report(moving, step, reports, ("stopped", f"held by {moving.held_by}"))
+            by = f"held by {moving.held_by}"
+            report = self._report(moving, step, reports, ("stopped", by))
+            return report.model_copy(update={"refused": Refusal(code=HELD, text=by)})
         if failure is not None:
             await self.stop(moving.movers, "decelerate", moving.actor, failure[1])
             if moving.line is not None and moving.line.driver not in moving.movers:
@@ -489,4 +492,4 @@ class Motion:
 
 def _require_not_held(moving: Moving) -> None:
     if moving.held_by is not None:
-        raise Refuse("held", f"held by {moving.held_by} before it began")
+        raise Refuse(HELD, f"held by {moving.held_by} before it began")

@@ -155,6 +155,23 @@ def test_what_is_not_motion_ends_before_it_is_held_and_a_held_job_can_be_cancell
     run_fleet(main)
 
 
+def test_who_resumes_while_it_still_brakes_has_it_go_on_all_the_same() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        submitted = await fleet.client().submit(job(FAR))
+        while (await submitted.show()).transitions[-1].state != "running":
+            await sleep_ns(fleet.clock, 50 * NS_PER_MS)
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        await submitted.pause(now=True)
+        await submitted.resume()
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert [each.by for each in report.steps[0].holds] == ["client"]
+        assert fleet.controllers["gantry"].position("X") == 305_000
+
+    run_fleet(main)
+
+
 def test_a_fault_while_it_brakes_is_no_hold() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
