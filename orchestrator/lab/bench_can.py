@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
+from orchestrator.lab.bench_figures import Figure
 from orchestrator.lab.can_world import (
     ACCELERATION,
     BITRATE,
     NODES,
     VELOCITY,
-    CanRow,
     CanWorld,
     can_row,
     can_world,
@@ -44,7 +44,7 @@ class _Round(NamedTuple):
     load: float
 
 
-def bench_can(rounds: int, seed: int = 11) -> list[CanRow]:
+def bench_can(rounds: int, seed: int = 11) -> list[Figure]:
     """`rounds` starts each way, with new drives and a new bus every `STARTS` of them."""
     by_script: list[float] = []
     found: list[_Round] = []

@@ -8,7 +8,8 @@ from typing import Any
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.lab.can_world import MEASURED, CanRow, can_row
+from orchestrator.lab.bench_figures import Figure
+from orchestrator.lab.can_world import MEASURED, can_row
 from orchestrator.lab.sync_fleets import DRIFT_PPM, WANDER_PPM, smc4000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
@@ -24,7 +25,7 @@ PAUSE_NS = 3 * NS_PER_S
 _LIMITS = {"velocity": 200.0, "acceleration": 1000.0, "jerk": 20_000.0}
 
 
-def bench_mixed(rounds: int, seed: int = 11) -> list[CanRow]:
+def bench_mixed(rounds: int, seed: int = 11) -> list[Figure]:
     """`rounds` steps, with new crystals every `STEPS_A_WORLD` of them."""
     skews_ms: list[float] = []
     missed = 0
@@ -34,7 +35,7 @@ def bench_mixed(rounds: int, seed: int = 11) -> list[CanRow]:
         skews_ms += [skew_ms for skew_ms, _ in found]
         missed += sum(not held for _, held in found)
     what = f"start skew, {EACH} by SYNC and {EACH} SMC-4000 by clock"
-    outside = CanRow("of these starts outside their verdict", rounds, 0, 0, missed, "steps", "none", missed == 0)
+    outside = Figure("of these starts outside their verdict", rounds, 0, 0, missed, "steps", "none", missed == 0)
     return [can_row(what, skews_ms, "ms", round(ASKED_SKEW_MS, 3)), outside]
 
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import run_virtual
+from orchestrator.lab.bench_figures import Figure
 from orchestrator.lab.can_world import (
     ACCELERATION,
     BITRATE,
     NODES,
     VELOCITY,
-    CanRow,
     CanWorld,
     can_row,
     can_world,
@@ -52,7 +52,7 @@ class _Round(NamedTuple):
     load: float
 
 
-def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[CanRow]:
+def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[Figure]:
     """`rounds` moves each way, with new drives every `MOVES` of them; and long moves for `hours`."""
     by_script: list[_Round] = []
     found: list[_Round] = []
@@ -61,7 +61,7 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[CanRow]:
         by_script += run_virtual(lambda clock, s=seed + number, n=moves: _scripted(clock, s, n))
         found += run_virtual(lambda clock, s=seed + number, n=moves: _streamed(clock, s, n))
     periods, underruns = run_virtual(lambda clock: _for_hours(clock, seed, hours))
-    none = CanRow(f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0)
+    none = Figure(f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0)
     return [
         can_row("path skew, positions by a script's timer", [each.skew_ms for each in by_script], "ms"),
         can_row("path skew, streamed", [each.skew_ms for each in found], "ms", ASKED_SKEW_MS),

@@ -10,12 +10,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from orchestrator.client import Job, Tutti
+from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.pace import KEPT
-from orchestrator.lab.bench_fleet import measured_fleet
+from orchestrator.lab.bench_fleet import Steps, measured_fleet, run_steps
 from orchestrator.lab.bench_spread import Noise, Spread, spread
 from orchestrator.lab.bench_truth import NothingHappened, Truth
 from orchestrator.lab.live import LiveFleet
@@ -88,7 +88,7 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
     virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _virtual(fleet, clock)))
     found: list[_Round] = []
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
-        await _run(tutti, _job(fleet, prepare=True))
+        await run_steps(tutti, _preparation(fleet))
         truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
         used_s = _cpu_s(live)
         for k in range(KEPT + 1 + rounds):
@@ -121,7 +121,7 @@ async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
     virtual = VirtualFleet(fleet, clock, 1, guardian=False)
     await virtual.start()
     tutti = virtual.client()
-    await _run(tutti, _job(fleet, prepare=True))
+    await run_steps(tutti, _preparation(fleet))
     found: _Round | None = None
     for k in range(KEPT + 1):
         await sleep_ns(clock, NS_PER_S)
@@ -137,18 +137,13 @@ async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
     return found
 
 
-def _job(fleet: Fleet, way: int = 0, prepare: bool = False) -> Job:
-    names = list(fleet.controllers)
-    steps: list[dict[str, object]] = [{"do": "enable", "axes": names}, {"do": "home"}]
-    if not prepare:
-        steps = [{"do": "move", "by": dict.fromkeys(fleet.axis_names, -DISTANCE if way else DISTANCE)}]
+def _preparation(fleet: Fleet) -> Steps:
+    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home"}]
+
+
+def _job(fleet: Fleet, way: int) -> Job:
+    steps = [{"do": "move", "by": dict.fromkeys(fleet.axis_names, -DISTANCE if way else DISTANCE)}]
     return Job.model_validate({"schema": "tutti.job/1", "name": "dispatch", "max_start_skew": "50 ms", "steps": steps})
-
-
-async def _run(tutti: Tutti, job: Job) -> None:
-    report = await tutti.wait(await tutti.submit(job), poll_s=0.1)
-    if report.state != "done":
-        raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
 
 
 def _lead_ns(report: JobReport) -> int:

@@ -8,14 +8,14 @@ import asyncio
 from collections.abc import Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
-from math import ceil
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any
 
 from adapters.contract import Driver, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
 from orchestrator.clock.base import NS_PER_US, Clock
+from orchestrator.lab.bench_figures import Figure, figure
 from orchestrator.link.can import CanFrame, CanLink
 from orchestrator.link.memory import MemoryWire, can_wire
 from orchestrator.model.fleet import Controller
@@ -35,25 +35,11 @@ VELOCITY, ACCELERATION = 80_000.0, 400_000.0
 _STATE = (0x180, 0x280, 0x380, 0x480, 0x700, 0x080)  # what drives send unasked
 
 
-class CanRow(NamedTuple):
-    """A spread over `n` values, in `unit`. asked: what it should keep, in words; met: whether it does."""
-
-    what: str
-    n: int
-    p50: float
-    p99: float
-    max: float
-    unit: str
-    asked: str = ""
-    met: bool | None = None
-
-
-def can_row(what: str, values: list[float], unit: str, asked: float | None = None) -> CanRow:
+def can_row(what: str, values: list[float], unit: str, asked: float | None = None) -> Figure:
     """asked: of the 99th percentile."""
-    ordered = sorted(values)
-    p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
-    row = CanRow(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit)
-    return row if asked is None else row._replace(asked=f"p99<={asked:g}", met=row.p99 <= asked)
+    if asked is None:
+        return figure(what, values, unit)
+    return figure(what, values, unit, f"p99<={asked:g}", lambda found: found.p99 <= asked)
 
 
 @dataclass(slots=True)
