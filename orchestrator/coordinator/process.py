@@ -67,13 +67,13 @@ async def _stood_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyn
 
 async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event) -> int:
     loop = asyncio.get_running_loop()
-    journal = Journal(options.journal)
+    journal, runs = Journal(options.journal), Threaded()
     court = Court(
         bus=bus,
         keys=Keys(fleet.fleet),
         clock=LiveClock(),
         journal=journal,
-        runs=Threaded(),
+        runs=runs,
         new_id=lambda: uuid.uuid4().hex,
         sink=file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
@@ -93,7 +93,8 @@ async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: async
             await coordinator.close()
         return DEPOSED if deposed else 0
     finally:
-        journal.close()
+        # In its own thread, behind what still writes there: closed under a call, SQLite ends the whole process.
+        await runs(journal.close)
 
 
 def _say_ready() -> None:

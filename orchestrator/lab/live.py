@@ -29,7 +29,8 @@ RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL = frozenset({2, 4, 5})
 TAKEN = 4  # of the router: somebody else listens there
 STANDBY = "coordinator/standby"
-DEPOSED = 6  # of the coordinator: another reigns, and the adapter hosts are at its service
+# Of the coordinator, once it has reigned: another does now, and the adapter hosts are at its service.
+DEPOSED = frozenset({4, 6})
 # What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
 _FOUND = {
     "tcp": ("host", "port"),
@@ -290,7 +291,7 @@ class LiveFleet:
             code = await child.process.wait()
             if child.ended:
                 return
-            if code == DEPOSED and not self.standby:
+            if child.name == "coordinator" and code in DEPOSED and not self.standby:
                 self.say(f"{child.name} is deposed, another coordinator reigns; the adapter hosts here serve that one")
                 return
             if code in FINAL:

@@ -130,6 +130,9 @@ class RunningFleet:
                 self.up.wait()
         for pid in self.family():
             os.kill(pid, signal.SIGKILL)
+        # Shown with a failed test only.
+        for said in (self.said, *sorted((self.state / "log").glob("*.err"))):
+            sys.stdout.write(f"--- {said.name}\n{said.read_text()[-4000:]}\n")
 
     # What users do
 

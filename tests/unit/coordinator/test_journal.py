@@ -1,11 +1,13 @@
 """The journal: what it keeps, the way from older versions, and what becomes of it when its disk does not work."""
 
+import asyncio
 import sqlite3
+import threading
 from pathlib import Path
 
 import pytest
 
-from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken
+from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken, Threaded
 from orchestrator.coordinator.journal_schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse
 from orchestrator.model.job import Job
@@ -215,3 +217,26 @@ def test_a_body_that_can_not_be_read_names_the_job() -> None:
     journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
     with pytest.raises(JournalError, match="the Job of job a can not be read"):
         journal.job("a")
+
+
+def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
+    """Closed under a call of another thread, SQLite ended a deposed coordinator with a segmentation fault."""
+    journal, runs = Journal(":memory:"), Threaded()
+    go_on, used = threading.Event(), list[str]()
+
+    def slow() -> None:
+        go_on.wait(30)
+        journal.require_reign(1)
+        used.append("read")
+
+    async def leave() -> None:
+        reading, closing = asyncio.ensure_future(runs(slow)), asyncio.ensure_future(runs(journal.close))
+        await asyncio.sleep(0)
+        go_on.set()
+        await reading
+        await closing
+        with pytest.raises(JournalError, match="closed"):
+            await runs(journal.require_reign, 1)
+
+    asyncio.run(leave())
+    assert used == ["read"]
