@@ -9,10 +9,14 @@ from cluster.test_chain import PREPARE as CHAIN_PREPARE
 from cluster.test_chain import chain_fleet
 from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
+from adapters.contract import CannotDo
+from adapters.member import Member
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import Reply
+from orchestrator.model.report import JobState
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
@@ -44,8 +48,12 @@ async def prepared(fleet: VirtualFleet) -> None:
 
 async def running(fleet: VirtualFleet, job_id: str) -> None:
     """Until all members were told to go; they have not begun."""
-    while (row := fleet.journal.row(job_id)) is not None and row.state != "running":
-        await asyncio.sleep(0.001)
+    await reached(fleet, job_id, "running")
+
+
+async def reached(fleet: VirtualFleet, job_id: str, state: JobState) -> None:
+    while (row := fleet.journal.row(job_id)) is not None and row.state != state:
+        await asyncio.sleep(0.0001)
 
 
 def two_hosts() -> Fleet:
@@ -178,3 +186,44 @@ def test_a_unit_on_its_limit_claims_no_start_and_the_other_one_stops(make: str) 
         assert made.end_ns is not None and made.end_ns - made.start_ns < 2 * NS_PER_S
 
     run_fleet(main, pair(make))
+
+
+def test_nobody_begins_when_one_member_does_not_hear_go() -> None:
+    """It is given up while the others can still be unloaded."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.client()
+        before = {name: len(unit.motions) for name, unit in fleet.controllers.items()}
+        job_id = await client.submit(MOVE)
+        await reached(fleet, job_id, "committed")
+        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        report = await client.wait(job_id)
+        assert report.state == "failed" and "stage has not answered go" in report.reason
+        fleet.net.heal()
+        await asyncio.sleep(1.0)
+        assert {name: len(unit.motions) for name, unit in fleet.controllers.items()} == before
+
+    run_fleet(main, two_hosts())
+
+
+def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def begun(*_: object) -> Reply:
+        raise CannotDo("moving", "the step moves already")
+
+    monkeypatch.setattr(Member, "disarm", begun)
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.client()
+        job_id = await client.submit(MOVE)
+        await reached(fleet, job_id, "committed")
+        before = len(fleet.controllers["gantry"].motions)
+        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        refused_s = now_s(fleet)
+        assert (await client.wait(job_id)).state == "failed"
+        fleet.net.heal()
+        for motion in fleet.controllers["gantry"].motions[before:]:
+            assert motion.end_ns is not None and motion.end_ns / NS_PER_S < refused_s + 0.5 + RAMP_S
+
+    run_fleet(main, two_hosts())

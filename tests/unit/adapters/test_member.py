@@ -1,0 +1,169 @@
+"""A controller's part in a step that goes wrong about its start, over a driver that does what the test says."""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, cast
+
+import pytest
+
+from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
+from adapters.member import Member, Phase
+from adapters.settling import Settled
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.fleet import FleetScale
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.messages import Arm, Commit, Go
+from orchestrator.model.state import Costs
+
+T0_NS = 1 * NS_PER_S
+NEXT_T0_NS = 2 * NS_PER_S
+COSTS = Costs(arm_ns=1, disarm_ns=1, stop_ns=1)
+DEAF = DriverFault("no-answer", "go was not answered", "")
+
+
+class Scripted:
+    """A driver. told: the orders that it got, in their order. begun, rested: what `started` and `outcome` wait for."""
+
+    def __init__(self) -> None:
+        loop = asyncio.get_running_loop()
+        self.told: list[str] = []
+        self.begun: asyncio.Future[Mapping[str, Span]] = loop.create_future()
+        self.rested: asyncio.Future[Outcome] = loop.create_future()
+        self.refuses_go: Exception | None = None
+
+    def mapping(self) -> None:
+        return None
+
+    def lower(self, *_: object) -> Lowered:
+        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, ())
+
+    async def arm(self, *_: object) -> dict[str, int]:
+        self.told.append("arm")
+        return {}
+
+    async def verify(self) -> None:
+        self.told.append("verify")
+
+    async def go(self) -> None:
+        self.told.append("go")
+        if self.refuses_go is not None:
+            raise self.refuses_go
+
+    async def stop(self, abort: bool) -> None:
+        self.told.append("abort" if abort else "stop")
+
+    async def disarm(self) -> None:
+        self.told.append("disarm")
+
+    async def started(self) -> Mapping[str, Span]:
+        return await asyncio.shield(self.begun)
+
+    async def outcome(self) -> Outcome:
+        self.told.append("outcome")
+        return await asyncio.shield(self.rested)
+
+    def begins(self) -> None:
+        self.begun.set_result({"x": Span(T0_NS, T0_NS)})
+
+
+class Desk:
+    """A member of a step, and the driver below it. said: its events."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.driver = Scripted()
+        self.said: list[str] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self.member = Member(
+            "c",
+            cast(Driver, self.driver),
+            clock,
+            check=lambda _: None,
+            scale=lambda: FleetScale("s", 0),
+            emit=lambda kind, *_: self.said.append(kind),
+            settle=self._settle,
+            spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(coroutine)),
+        )
+
+    async def _settle(self, _: object) -> Settled:
+        return Settled()
+
+    async def arm(self, step: int, t0_ns: int) -> None:
+        await self.member.arm(Arm(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
+
+    async def go(self, step: int = 0, t0_ns: int = T0_NS) -> None:
+        """Armed, promised and released."""
+        await self.arm(step, t0_ns)
+        await self.member.commit(Commit(**self._ref(step), t0_fleet_ns=t0_ns))
+        await self.member.go(Go(**self._ref(step), t0_fleet_ns=t0_ns))
+
+    async def later(self, seconds: float = 0.01) -> None:
+        await sleep_ns(self.clock, round(seconds * NS_PER_S))
+
+    def _ref(self, step: int) -> dict[str, Any]:
+        return {"request_id": "r", "actor": "a", "epoch": 1, "coordinator": "k", "job": "j", "step": step}
+
+
+def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
+    async def main(clock: VirtualClock) -> None:
+        await body(Desk(clock))
+
+    run_virtual(main)
+
+
+def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        await desk.member.stop(False, "stop")
+        desk.driver.begins()
+        await desk.later()
+        assert desk.member.following
+        desk.driver.rested.set_result(Outcome("stopped", {}))
+        await desk.later()
+        assert not desk.member.following and desk.said == ["stopped"]
+
+    run(body)
+
+
+def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_of_the_next_one() -> None:
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        await desk.member.stop(False, "stop")
+        await desk.arm(1, NEXT_T0_NS)
+        desk.driver.begins()
+        await desk.later()
+        assert "outcome" not in desk.driver.told and not desk.member.following
+        ticket = desk.member.ticket
+        assert ticket is not None and (ticket.step, ticket.phase) == (1, Phase.ARMED)
+
+    run(body)
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_did_not_start_is_unloaded(stopped: bool) -> None:
+    """Before the next step, which it would be in the way of; also when somebody has stopped it meanwhile."""
+
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        if stopped:
+            await desk.member.stop(False, "stop")
+        desk.driver.begun.set_exception(DriverFault("not-started", "axis x has not left its place", ""))
+        await desk.later()
+        assert desk.driver.told[-2:] == ["stop", "disarm"]
+        assert desk.member.ticket is None and desk.said == ["stopped" if stopped else "failed"]
+
+    run(body)
+
+
+@pytest.mark.parametrize("error", [DEAF, CannotDo("late", "T0 is past")])
+def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> None:
+    """It may have been released all the same, and only its answer was lost."""
+
+    async def body(desk: Desk) -> None:
+        desk.driver.refuses_go = error
+        with pytest.raises(type(error)):
+            await desk.go()
+        assert desk.driver.told == ["arm", "verify", "go", "stop", "disarm"]
+        assert desk.member.ticket is None
+
+    run(body)
