@@ -106,6 +106,7 @@ class AdapterHost:
         self._tasks: set[asyncio.Task[None]] = set()
         self._starts = 0
         self._lines: dict[str, _SharedLine] = {}
+        self._lowering = asyncio.Lock()
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
         self.units = {controller: self._unit(controller, config) for controller, config in mine.items()}
 
@@ -138,6 +139,7 @@ class AdapterHost:
             instance=f"{around.instance}-{self._starts}",
             scale=lambda: self._scale,
             reconfigure=lambda controller, config: self._spawn(self._reconfigure(controller, config)),
+            lowering=self._lowering,
         )
         return Unit(seat, around.store(controller))
 

@@ -57,7 +57,7 @@ class Member:
     """One controller as a member of steps.
 
     check raises `CannotDo` when the profiles must not be executed now; settle waits for axes to come to rest at their
-    targets, with a fresh state on the bus when it returns.
+    targets, with a fresh state on the bus when it returns; lowering is shared by the members of a host (see `Seat`).
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class Member:
         emit: Emit,
         settle: Callable[[Sequence[str]], Awaitable[Settled]],
         spawn: Callable[[Coroutine[Any, Any, None]], object],
+        lowering: asyncio.Lock,
     ) -> None:
         self._controller = controller
         self._driver = driver
@@ -79,6 +80,7 @@ class Member:
         self._emit = emit
         self._settle = settle
         self._spawn = spawn
+        self._lowering = lowering
         self._turn = asyncio.Lock()
         self._interruptions = 0
         self._followed = 0
@@ -88,9 +90,10 @@ class Member:
 
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
-        self._check(request)
-        mapping = self._driver.mapping()
-        lowered = self._driver.lower(request.profiles, request.start, mapping)
+        async with self._lowering:
+            self._check(request)
+            mapping = self._driver.mapping()
+            lowered = self._driver.lower(request.profiles, request.start, mapping)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
         return Proposal(
             tick_at_fleet_ns=self._scale().fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
@@ -112,16 +115,18 @@ class Member:
                 raise CannotDo(
                     "busy", f"already {self.ticket.phase.value} for job {self.ticket.job}", "disarm it first"
                 )
-            self._check(request)
-            began_ns = self._clock.now_ns()
-            scale, mapping = self._scale(), self._driver.mapping()
-            t0_ns = scale.host_ns(request.t0_fleet_ns)
-            lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
-            how = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
-            lowered = self._driver.lower(request.profiles, how, mapping)
-            if began_ns + lowered.costs.disarm_ns >= t0_ns:
+            began_ns, interruptions = self._clock.now_ns(), self._interruptions
+            async with self._lowering:
+                self._check(request)
+                scale, mapping = self._scale(), self._driver.mapping()
+                t0_ns = scale.host_ns(request.t0_fleet_ns)
+                lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
+                how = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
+                lowered = self._driver.lower(request.profiles, how, mapping)
+            if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
                 raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
-            interruptions = self._interruptions
+            if interruptions != self._interruptions:
+                raise CannotDo("stopped", "a stop came before arming", "")
             ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, tuple(request.profiles), scale)
             try:
                 stages = await self._driver.arm(lowered, t0_ns, mapping)

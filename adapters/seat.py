@@ -1,5 +1,6 @@
 """One controller's place in its adapter host: what all the parts of its unit need to know."""
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -32,3 +33,4 @@ class Seat:
     instance: str
     scale: Callable[[], FleetScale | None]
     reconfigure: Callable[[str, Controller], None]
+    lowering: asyncio.Lock

@@ -60,6 +60,7 @@ class Unit:
             self._emit_step,
             self._settling.wait,
             self._spawn,
+            seat.lowering,
         )
         self._presenter = Presenter(
             seat,

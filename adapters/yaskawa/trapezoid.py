@@ -9,14 +9,20 @@ Once it is known how the samples lie about T0, it is known at which of them the 
 end of the plan. Without that, a move may begin half a sample beside T0 and end a whole one beside where it should.
 """
 
-import heapq
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.model import RAMP_UNIT, SPEED_UNIT, Model
 from orchestrator.model.profile import Profile
+
+Array = NDArray[np.float64]
+"""Of values that belong together, one for each candidate or instant."""
 
 ROOM = 1e-6  # beyond a limit, relative: rounding of a plan that uses it to the full
 SYMMETRIC = 1e-6  # of the duration: how far the two ramps may differ
@@ -27,6 +33,10 @@ NEAR = 0.02  # samples that a duration may be off for nothing: less than anybody
 GOOD = 0.1  # samples off, in time or way, that no further search is needed for
 # A sample too many or too few counts for the way of so many samples: the end is what others wait for.
 OFF_WEIGHT = 10.0
+HUGE = 2.0**40  # beyond any register
+_ABOUT = np.arange(-NEIGHBOURS, NEIGHBOURS + 1.0)
+_AND_NEXT = np.array([0.0, 1.0])
+_GRID = np.linspace(0.0, 1.0, 33)  # of the move's duration, for its distance to the plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +86,14 @@ class _Law:
         peak = math.sqrt(2 * way / ramps)
         return cls(way, peak, up, down, peak * ramps)
 
-    def at(self, t: float) -> float:
+    def at(self, t: Array) -> Array:
         rise, fall = self.peak / self.up, self.peak / self.down
         left = self.length - t
-        if t <= 0.0:
-            return 0.0
-        if left <= 0.0:
-            return self.way
-        if t <= rise:
-            return self.up * t * t / 2
-        if left <= fall:
-            return self.way - self.down * left * left / 2
-        return self.peak * (t - rise / 2)
+        cruise = self.peak * (t - rise / 2)
+        way = np.where(
+            t <= rise, self.up * t * t / 2, np.where(left <= fall, self.way - self.down * left * left / 2, cruise)
+        )
+        return np.where(t <= 0.0, 0.0, np.where(left <= 0.0, self.way, way))
 
     @property
     def joints(self) -> tuple[float, float]:
@@ -141,27 +147,30 @@ def fit(
     plan = _Law.of(way, plan_speed, plan_speed / ramp, plan_speed / ramp)
     weight = OFF_WEIGHT * plan.peak
 
-    def rank(candidates: Iterator[tuple[int, int, int]]) -> list[tuple[float, int, int, int]]:
-        return [
-            (weight * max(0.0, early - length, length - late) + apart, speed, up, down)
-            for speed, up, down in set(candidates)
-            for length, apart in [_rough(plan, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT, phase)]
-        ]
+    def off(length: Array | float) -> Array:
+        return weight * np.maximum(0.0, np.maximum(early - length, length - late))
 
-    ranked = rank(_by_speed(plan, wanted, top_speed, top_ramp, model))
-    if min(ranked)[0] > GOOD * plan.peak:
-        ranked += rank(_by_ramps(plan, wanted, top_speed, top_ramp, model))
+    def rank(candidates: Array) -> Array:
+        length, apart = _rough(plan, candidates, phase)
+        return off(length) + apart
+
+    candidates = _by_speed(plan, wanted, top_speed, top_ramp, model)
+    ranks = rank(candidates)
+    if ranks.min() > GOOD * plan.peak:
+        more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
+        candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
+    plan_itself = _Planned(profile, tick_s)
     best: Trapezoid | None = None
     best_rank = math.inf
-    for _, speed, up, down in heapq.nsmallest(FINALISTS, ranked):
+    for speed, up, down in islice(_distinct(candidates[np.argsort(ranks, kind="stable")]), FINALISTS):
         law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
-        off = law.length - planned
-        error = _path_error(profile, law, tick_s, phase)
-        real_rank = weight * max(0.0, early - law.length, law.length - late) + error
+        error = _path_error(plan_itself, law, phase)
+        real_rank = float(off(law.length)) + error
         if real_rank < best_rank:
-            at_limit = off > 0.0 and (speed == top_speed or up == top_ramp)
-            beside = error if place is None else _path_error(profile, law, tick_s, 0.0)
-            best, best_rank = Trapezoid(distance, speed, up, down, law.length, off, at_limit, beside), real_rank
+            longer = law.length - planned
+            at_limit = longer > 0.0 and (speed == top_speed or up == top_ramp)
+            beside = error if place is None else _path_error(plan_itself, law, 0.0)
+            best, best_rank = Trapezoid(distance, speed, up, down, law.length, longer, at_limit, beside), real_rank
     assert best is not None
     return best
 
@@ -190,71 +199,92 @@ def _down(value: float, step: int, most: int) -> int:
     return min(int(value // step) * step, most)
 
 
-def _ramps(value: float, top_ramp: int, model: Model) -> set[int]:
-    """Values of AC and DC about a ramp in counts/sample²."""
-    middle = int(min(value * RAMP_UNIT, 2.0**40) // model.ramp_step)
-    return {min(max(middle + k, 1) * model.ramp_step, top_ramp) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}
+def _values(value: Array, step: int, top: int, neighbours: Array) -> Array:
+    """Register values about `value`, in steps, from one step to `top`."""
+    return np.clip((np.minimum(value, HUGE) // step + neighbours) * step, step, top)
 
 
-def _by_speed(
-    plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model
-) -> Iterator[tuple[int, int, int]]:
+def _distinct(candidates: Array) -> Iterator[tuple[int, int, int]]:
+    """Each once, in order: one may have been found in several ways."""
+    seen: set[tuple[int, int, int]] = set()
+    for speed, up, down in candidates:
+        each = int(speed), int(up), int(down)
+        if each not in seen:
+            seen.add(each)
+            yield each
+
+
+def _together(*parts: Array) -> Array:
+    """A row for each candidate: speed, ramp up, ramp down."""
+    return np.stack(np.broadcast_arrays(*parts), axis=-1).reshape(-1, 3)
+
+
+def _by_speed(plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model) -> Array:
     """Speeds near the plan's own and a ramp up, with the ramp down that makes up for what they leave."""
-    step = model.ramp_step
+    # By axis: speeds, ways to choose the ramps, ramps up, ramps down.
+    speed = _values(np.array(plan.peak * SPEED_UNIT), model.speed_step, top_speed, _ABOUT).reshape(-1, 1, 1, 1)
+    v = speed / SPEED_UNIT
     pointed = planned * planned / (2.0 * plan.way)  # 1/up + 1/down of a move that does not come to its speed
-    middle = int(plan.peak * SPEED_UNIT // model.speed_step)
-    for speed in {min(max(middle + k, 1) * model.speed_step, top_speed) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)}:
-        v = speed / SPEED_UNIT
-        for inverse in (2.0 * (planned - plan.way / v) / v, pointed):
-            for up in _ramps(2.0 / inverse if inverse > 0.0 else math.inf, top_ramp, model):
-                rest = inverse - RAMP_UNIT / up
-                low = _down(min(RAMP_UNIT / rest, 2.0**40), step, top_ramp) if rest > 0.0 else top_ramp
-                for down in (low, low + step):
-                    yield speed, up, min(max(down, step), top_ramp)
+    inverse = np.concatenate([2.0 * (planned - plan.way / v) / v, np.full_like(v, pointed)], axis=1)
+    with np.errstate(divide="ignore"):
+        wanted = np.where(inverse > 0.0, 2.0 / inverse, math.inf) * RAMP_UNIT
+        up = _values(wanted, model.ramp_step, top_ramp, _ABOUT.reshape(1, 1, -1, 1))
+        rest = inverse - RAMP_UNIT / up
+        low = np.where(rest > 0.0, RAMP_UNIT / rest, math.inf)
+    return _together(speed, up, _values(low, model.ramp_step, top_ramp, _AND_NEXT))
 
 
-def _by_ramps(
-    plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model
-) -> Iterator[tuple[int, int, int]]:
+def _by_ramps(plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model) -> Array:
     """Ramps near the plan's own, with the speed that makes up for what they leave: where ramps are coarse."""
-    for up in _ramps(plan.up, top_ramp, model):
-        for down in _ramps(plan.up, top_ramp, model):
-            # planned = way/v + v/2 (1/up + 1/down), for v
-            half = RAMP_UNIT / 2 * (1.0 / up + 1.0 / down)
-            square = planned * planned - 4.0 * half * plan.way
-            if square < 0.0:
-                yield top_speed, up, down
-                continue
-            low = _down((planned - math.sqrt(square)) / (2.0 * half) * SPEED_UNIT, model.speed_step, top_speed)
-            for speed in (low, low + model.speed_step):
-                yield min(max(speed, model.speed_step), top_speed), up, down
+    # By axis: ramps up, ramps down, speeds.
+    ramps = _values(np.array(plan.up * RAMP_UNIT), model.ramp_step, top_ramp, _ABOUT)
+    up, down = ramps.reshape(-1, 1, 1), ramps.reshape(1, -1, 1)
+    # planned = way/v + v/2 (1/up + 1/down), for v
+    half = RAMP_UNIT / 2 * (1.0 / up + 1.0 / down)
+    square = planned * planned - 4.0 * half * plan.way
+    low = np.where(square >= 0.0, planned - np.sqrt(np.maximum(square, 0.0)), math.inf) / (2.0 * half) * SPEED_UNIT
+    return _together(_values(low, model.speed_step, top_speed, _AND_NEXT), up, down)
 
 
-def _rough(plan: _Law, speed: float, up: float, down: float, phase: float) -> tuple[float, float]:
-    """The duration in samples, and a quick measure of the distance to the plan in counts: that of the two cruises,
-    drawn out over the time between the plan's ramps, when this one begins `phase` samples later."""
+def _rough(plan: _Law, candidates: Array, phase: float) -> tuple[Array, Array]:
+    """The durations in samples, and a quick measure of the distance to the plan in counts: that of the two cruises,
+    drawn out over the time between the plan's ramps, when these begin `phase` samples later."""
+    speed, up, down = candidates[:, 0] / SPEED_UNIT, candidates[:, 1] / RAMP_UNIT, candidates[:, 2] / RAMP_UNIT
     ramps = 1.0 / up + 1.0 / down
-    if plan.way >= speed * speed / 2 * ramps:
-        length = plan.way / speed + speed / 2 * ramps
-    else:
-        speed = math.sqrt(2 * plan.way / ramps)
-        length = speed * ramps
+    speed = np.minimum(speed, np.sqrt(2 * plan.way / ramps))
+    length = plan.way / speed + speed / 2 * ramps
     rise, fall = plan.joints
     faster = speed - plan.peak
     behind = (speed * speed / up - plan.peak * plan.peak / plan.up) / 2 + speed * phase
-    return length, max(abs(faster * rise - behind), abs(faster * fall - behind))
+    return length, np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
 
 
-def _path_error(profile: Profile, law: _Law, tick_s: float, phase: float) -> float:
+class _Planned:
+    """The plan in samples: where it is, counts along its way, and its joints."""
+
+    def __init__(self, profile: Profile, tick_s: float) -> None:
+        begin_s, _, *self._motion = np.array(profile.segments).T
+        self._begin, self._tick_s = begin_s, tick_s
+        self._way = profile.end_counts - profile.start_counts
+        self._end_s = profile.duration_s
+        self.length = profile.duration_s / tick_s
+        self.joints: Array = begin_s / tick_s
+
+    def at(self, samples: Array) -> Array:
+        time_s = samples * self._tick_s
+        k = np.maximum(np.searchsorted(self._begin, time_s, side="right") - 1, 0)
+        t = np.maximum(time_s - self._begin[k], 0.0)
+        position, velocity, acceleration, jerk = (each[k] for each in self._motion)
+        where = position + t * (velocity + t * (acceleration / 2 + t * jerk / 6))
+        return math.copysign(1.0, self._way) * np.where(time_s >= self._end_s, self._way, where)
+
+
+def _path_error(plan: _Planned, law: _Law, phase: float) -> float:
     """Largest distance between plan and execution when that starts `phase` samples later, in counts.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
-    planned_at = profile.evaluator()
-    sign = 1.0 if profile.end_counts > profile.start_counts else -1.0
-    last = max(law.length, profile.duration_s / tick_s)
-    joints = [segment.start_s / tick_s for segment in profile.segments]
-    joints += [phase + t for t in (*law.joints, law.length)]
-    joints += [last * k / 32 for k in range(33)]
-    return 0.5 + max(abs(sign * law.at(t - phase) - planned_at(t * tick_s).position) for t in joints)
+    joints = phase + np.array([*law.joints, law.length])
+    instants = np.concatenate([plan.joints, joints, _GRID * max(law.length, plan.length)])
+    return 0.5 + float(abs(law.at(instants - phase) - plan.at(instants)).max())

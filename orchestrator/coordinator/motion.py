@@ -13,7 +13,7 @@ from orchestrator.coordinator.journal import Journal, Runs
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import Moving
 from orchestrator.coordinator.permits import Permits
-from orchestrator.coordinator.proposing import ANSWER_S, Proposing, start_way
+from orchestrator.coordinator.proposing import ANSWER_S, Proposing, start_ways
 from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.targets import Refuse, refuse, resolve
@@ -265,9 +265,9 @@ class Motion:
                 digest=self._view.fleet.controllers[member].digest,
                 t0_fleet_ns=moving.t0_ns(member),
                 profiles=moving.profiles(member),
-                start=start_way(moving, step, member).model_copy(update={"end_ns": end_ns}),
+                start=way.model_copy(update={"end_ns": end_ns}),
             )
-            for member in moving.proposals
+            for member, way in start_ways(moving, step, moving.proposals).items()
         }
         timeout_s = {
             member: ANSWER_S + 2 * (proposal.costs.arm_ns if proposal.costs else 0) / NS_PER_S

@@ -21,8 +21,8 @@ from orchestrator.model.report import Predicted
 
 ROUNDS = 3
 END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
+SOON_S = 20e-6  # a member that ends so much later, the fiftieth of a servo tick, is not worth another round
 ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
-# Lead over the arming: requests to and fro on the bus, a commit with its reading back, and the quiet time.
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 
@@ -33,6 +33,7 @@ class Proposing:
         self._view = view
         self._members = members
         self.pace = Pace()
+        self._leads_ns: dict[frozenset[str], int] = {}
 
     async def agree(self, moving: Moving, job: Job, step: Move) -> None:
         """Settle plan, lead, budget, and the line that starts the step, if one does. Raises `Refuse`.
@@ -122,6 +123,9 @@ class Proposing:
         """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
         allowed_ns = step.max_end_skew or job.max_end_skew or END_SKEW_NS
         durations: dict[str, float] = {}
+        # What the same members needed last time mostly saves a round; what they promise for longer holds for less.
+        members = frozenset(moving.movers)
+        moving.lead_ns = moving.lead_ns or self._leads_ns.get(members, 0)
         for _ in range(ROUNDS):
             await self._ask(moving, step)
             durations = {
@@ -130,8 +134,9 @@ class Proposing:
                 for axis, took_s in proposal.durations_s.items()
             }
             longest_s, lead_ns = max(durations.values()), self._lead_ns(moving)
-            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s * (1 + 1e-9)
+            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s + SOON_S
             if in_time and lead_ns <= moving.lead_ns:
+                moving.lead_ns = lead_ns
                 break
             moving.lead_ns = max(lead_ns, moving.lead_ns)
             if not in_time:
@@ -146,6 +151,7 @@ class Proposing:
                     "move further or faster, or allow more with `max_end_skew`",
                     worst.partition(".")[0],
                 )
+        self._leads_ns[members] = moving.lead_ns
         self.judge(moving, moving.proposals, job, step)
 
     def _lead_ns(self, moving: Moving) -> int:
@@ -188,6 +194,7 @@ class Proposing:
             moving.line = replace(line, shift_ns=sum(middles) // len(middles))
 
     async def _ask_some(self, moving: Moving, step: Move, members: Iterable[str]) -> dict[str, Proposal]:
+        ways = start_ways(moving, step, members)
         requests = {
             member: Propose(
                 **self._members.fields(moving.actor),
@@ -196,9 +203,9 @@ class Proposing:
                 digest=self._view.fleet.controllers[member].digest,
                 duration_s=moving.plan.duration_s,
                 profiles=moving.profiles(member),
-                start=start_way(moving, step, member),
+                start=way,
             )
-            for member in members
+            for member, way in ways.items()
         }
         asked = [self._members.ask(member, "propose", each, Proposal, ANSWER_S) for member, each in requests.items()]
         proposals = dict(zip(requests, await asyncio.gather(*asked), strict=True))
@@ -206,14 +213,16 @@ class Proposing:
         return proposals
 
 
-def start_way(moving: Moving, step: Move, member: str) -> StartWay:
-    """How `member` is to start in the step."""
-    lead_ns = moving.lead_ns + READING_NS
-    line = moving.line
-    if line is not None and (member == line.driver or member in line.waiters):
-        return line.way(member, lead_ns).model_copy(update={"brake_s": moving.brake_s})
+def start_ways(moving: Moving, step: Move, members: Iterable[str]) -> dict[str, StartWay]:
+    """How each of `members` is to start in the step."""
+    lead_ns, line, brake_s = moving.lead_ns + READING_NS, moving.line, moving.brake_s
     by = "auto" if step.start == "line" else step.start
-    return StartWay(by=by, lead_ns=lead_ns, brake_s=moving.brake_s)
+    return {
+        member: line.way(member, lead_ns).model_copy(update={"brake_s": brake_s})
+        if line is not None and (member == line.driver or member in line.waiters)
+        else StartWay(by=by, lead_ns=lead_ns, brake_s=brake_s)
+        for member in members
+    }
 
 
 def refuse_if_any(replies: Mapping[str, Reply]) -> None:

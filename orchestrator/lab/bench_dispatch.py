@@ -79,7 +79,10 @@ def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
             "axes": {name: {**axis, "motors": [motor]} for name, motor in AXES.items()},
             "simulate": {**plain["simulate"], "options": options},
         }
-    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "dispatch", "controllers": controllers})
+    groups = {"all": [f"{name}.{axis}" for name in controllers for axis in AXES]}
+    return Fleet.model_validate(
+        {"schema": "tutti.fleet/1", "fleet": "dispatch", "controllers": controllers, "groups": groups}
+    )
 
 
 async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
@@ -138,7 +141,7 @@ async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
 
 
 def _preparation(fleet: Fleet) -> Steps:
-    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home"}]
+    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["all"]}]
 
 
 def _job(fleet: Fleet, way: int) -> Job:
