@@ -29,8 +29,9 @@ VECTORS = tests/contract/vectors
 demo: .venv/.stamp
 	.venv/bin/tutti demo
 
+# For two cores: one worker waits in live tests while two compute.
 test: .venv-dev/.stamp
-	.venv-dev/bin/pytest -n 2
+	.venv-dev/bin/pytest -n 3 --dist worksteal
 
 # Simulated controllers against drivers from PyPI; a skipped test is a failed one.
 test-thirdparty: .venv-thirdparty/.stamp

@@ -8,10 +8,9 @@ import sys
 SCRIPT = """
 import hashlib
 from orchestrator.lab.campaign import Cell, play
-lines = []
-for stage, fault in (("motion", "none"), ("arm", "host-killed"), ("fire", "coordinator-hung"), ("go", "garbage")):
-    story = play(3, [Cell(stage, fault, "shrc203")])
-    lines += [*story.lines, *story.events, *story.violations]
+broken = (("motion", "none"), ("arm", "host-killed"), ("fire", "coordinator-hung"), ("go", "garbage"))
+story = play(3, [Cell(stage, fault, "shrc203") for stage, fault in broken])
+lines = [*story.lines, *story.events, *story.violations]
 print(len(lines), hashlib.sha256("\\n".join(lines).encode()).hexdigest())
 """
 

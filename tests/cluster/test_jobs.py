@@ -211,7 +211,7 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
     run_fleet(main)
 
 
-def test_a_thousand_relative_moves_there_and_back_end_on_the_same_count() -> None:
+def test_relative_moves_there_and_back_end_on_the_same_count() -> None:
     async def main(fleet: VirtualFleet) -> None:
         there, back = "{do: move, by: {stage.u: '33.3333 um'}}", "{do: move, by: {stage.u: '-33.3333 um'}}"
         await outcome(fleet, PREPARE)

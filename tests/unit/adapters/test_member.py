@@ -13,7 +13,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.messages import Arm, Commit, Go
-from orchestrator.model.state import Costs
+from orchestrator.model.state import Costs, EventKind
 
 T0_NS = 1 * NS_PER_S
 NEXT_T0_NS = 2 * NS_PER_S
@@ -80,10 +80,14 @@ class Desk:
             clock,
             check=lambda _: None,
             scale=lambda: FleetScale("s", 0),
-            emit=lambda kind, *_: self.said.append(kind),
+            emit=self._emit,
             settle=self._settle,
             spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(coroutine)),
+            lowering=asyncio.Lock(),
         )
+
+    def _emit(self, kind: EventKind, *_: object) -> None:
+        self.said.append(kind)
 
     async def _settle(self, _: object) -> Settled:
         return Settled()

@@ -147,10 +147,10 @@ def test_axes_without_a_way_take_part_without_moving():
     run(main)
 
 
-def test_an_hour_of_polls_is_seconds_of_work():
+def test_minutes_of_polls_are_seconds_of_work():
     async def main(world: World) -> None:
         await world.ready()
-        for _ in range(36_000):
+        for _ in range(6000):  # far more than the estimate keeps
             assert not (await world.driver.poll()).restarted
             await sleep_ns(world.clock, 100 * NS_PER_MS)
         mapping = world.driver.mapping()
