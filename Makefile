@@ -29,9 +29,10 @@ VECTORS = tests/contract/vectors
 demo: .venv/.stamp
 	.venv/bin/tutti demo
 
-# For two cores: one worker waits in live tests while two compute.
+# For two cores: one worker waits in live tests while two compute. Live tests start hundreds of interpreters, so that
+# compiled modules are kept even where the environment forbids it.
 test: .venv-dev/.stamp
-	.venv-dev/bin/pytest -n 3 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= .venv-dev/bin/pytest -n 3 --dist worksteal
 
 # Simulated controllers against drivers from PyPI; a skipped test is a failed one.
 test-thirdparty: .venv-thirdparty/.stamp

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
-from adapters.member import Member, Phase
+from adapters.member import Member, Phase, Ticket
 from adapters.settling import Settled
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -86,7 +86,7 @@ class Desk:
             lowering=asyncio.Lock(),
         )
 
-    def _emit(self, kind: EventKind, *_: object) -> None:
+    def _emit(self, kind: EventKind, text: str, ticket: Ticket, evidence: object = None) -> None:
         self.said.append(kind)
 
     async def _settle(self, _: object) -> Settled:
