@@ -1,14 +1,15 @@
 """One handle of the controller: a line out, its reply in, and how the two find together again after a disturbance.
 
 A reply is any number of data lines, each ended by CR LF, and a prompt: `:` for done, `?` for refused (L1629-1633).
-The prompt stands at the start of a line. There is no checksum and no number on a reply, so exactly one command is
-under way at a time, in a packet of its own (L1738-1743); this also leaves open whether a line of several commands
-gets one prompt or several. Text that nobody asked for comes as whole lines before a reply and is kept apart.
+The prompt stands at the start of a line. There is no checksum and no number on a reply, so exactly one packet is under
+way at a time (L1738-1739). It holds one command, or settings that belong together, each a line of its own (L1741): this
+leaves open whether a line of several commands gets one prompt or several. Text that nobody asked for comes as whole
+lines before a reply and is kept apart.
 """
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
@@ -73,9 +74,36 @@ class Session:
         await self.ask(command, 0, still)
 
     async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
-        """Commands without data in their replies, none after a refused one. Raises `Refused`."""
-        for command in commands:
-            await self.tell(command, still)
+        """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing.
+
+        Raises `Refused` for the last one that was, of which the controller still knows why.
+        """
+        async with self._turn:
+            await self._get_in_step()
+            if still is not None:
+                still()
+            for packet in _packets(commands):
+                refused: list[str] = []
+
+                def all_replies(packet: list[str] = packet, refused: list[str] = refused) -> _Parsed | None:
+                    refused.clear()
+                    lines: list[str] = []
+                    used = 0
+                    for command in packet:
+                        parsed = parse_reply(self._buffer[used:])
+                        if parsed is None:
+                            return None
+                        lines += parsed.lines
+                        used += parsed.used
+                        if parsed.refused:
+                            refused.append(command)
+                    return _Parsed(lines, bool(refused), used)
+
+                parsed, _ = await self._exchange("\r".join(packet), all_replies)
+                if parsed.refused:
+                    raise await self._refusal(refused[-1])
+                self._in_step = True
+                self.unsolicited.extend(parsed.lines)
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.
@@ -343,6 +371,18 @@ def parse_reply(buffer: bytes | bytearray) -> _Parsed | None:
             lines.append(buffer[at:end].decode("latin-1").strip())
             at = end + 2
     return None
+
+
+def _packets(commands: Iterable[str]) -> Iterator[list[str]]:
+    """Commands, as many together as a packet holds."""
+    packet: list[str] = []
+    for command in commands:
+        if packet and sum(len(each) + 1 for each in packet) + len(command) + 1 > MAX_PACKET:
+            yield packet
+            packet = []
+        packet.append(command)
+    if packet:
+        yield packet
 
 
 def write_each(link: Link, commands: Iterable[str]) -> None:

@@ -67,9 +67,8 @@ class Start:
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        await session.tell_all(("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}"))
-        await session.tell(f"XLI={0 if waits is None else waits.number}")
-        await self._feed(ticks)
+        settings = ("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}")
+        await session.tell_all((*settings, f"XLI={0 if waits is None else waits.number}", self._food(ticks)))
         read_ns = self._clock.now_ns()
         contour = isinstance(lowered.load, Records)
         await session.tell(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}")
@@ -93,8 +92,7 @@ class Start:
             return
         await arrays.load(session, load.arrays(phase, tick_ns), load.packets)
         await session.tell(f"DC {fields(load.brakes)}")
-        for name, value in load.variables.items():
-            await session.tell(f"{name}={value}")
+        await session.tell_all(f"{name}={value}" for name, value in load.variables.items())
 
     async def _read_back(self, lowered: LoweredMoves) -> None:
         load = lowered.load
@@ -108,10 +106,10 @@ class Start:
             if values != list(load.variables.values()):
                 raise CannotDo("read-back", f"{values} read back for {load.variables}", "try again")
 
-    async def _feed(self, ticks: int) -> None:
-        """Keep the dog quiet until some time after sample `ticks`."""
+    def _food(self, ticks: int) -> str:
+        """What keeps the dog quiet until some time after sample `ticks`."""
         patience = round(self._options.watchdog_s * NS_PER_S / self._device.samples.tick_ns)
-        await self._device.session.tell(f"XDL={min(ticks + patience, TICKS_MAX)}")
+        return f"XDL={min(ticks + patience, TICKS_MAX)}"
 
     async def _wait_for_program(self, loaded: _Loaded) -> None:
         while True:
@@ -236,7 +234,8 @@ class Start:
                     ended[move.axis] = Span(seen_ns[move.axis], record.received_ns)
             if len(ended) == len(moves):
                 break
-            await self._feed(round((self._device.samples.mapping() or loaded.mapping).ticks(record.received_ns)))
+            ticks = round((self._device.samples.mapping() or loaded.mapping).ticks(record.received_ns))
+            await self._device.session.tell(self._food(ticks))
             # Look again soon after the next planned end: the stamps tell the last end only.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
