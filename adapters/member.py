@@ -91,6 +91,7 @@ class Member:
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
         async with self._lowering:
+            await asyncio.sleep(0)
             self._check(request)
             mapping = self._driver.mapping()
             lowered = self._driver.lower(request.profiles, request.start, mapping)
@@ -117,6 +118,8 @@ class Member:
                 )
             began_ns, interruptions = self._clock.now_ns(), self._interruptions
             async with self._lowering:
+                # A turn of the loop, for all that came while the last one was lowered.
+                await asyncio.sleep(0)
                 self._check(request)
                 scale, mapping = self._scale(), self._driver.mapping()
                 t0_ns = scale.host_ns(request.t0_fleet_ns)
