@@ -12,7 +12,8 @@ from sim.core.oscillator import Oscillator
 TIME_WRAP = 1 << 31
 NEVER_NS = 1 << 62
 NOMINAL_US = 1000
-LATEST_NS = 50_000_000  # a process that was held up for longer goes on from where it is
+# Held up for longer, a process goes on from where it is. A busy machine holds one of many up for a tenth of a second.
+LATEST_NS = 250_000_000
 
 
 class Timebase:
