@@ -54,7 +54,10 @@ def estop_fleet() -> Fleet:
     for name, make in (("b", smc2000), ("c", shrc203)):
         plain = make(0)
         controllers[name] = {**plain, "inputs": {}, "link": {**plain["link"], "device": f"/dev/{name}"}}
-    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "estop", "controllers": controllers})
+    groups = {"all": [f"{name}.x" for name in controllers]}
+    return Fleet.model_validate(
+        {"schema": "tutti.fleet/1", "fleet": "estop", "controllers": controllers, "groups": groups}
+    )
 
 
 async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> EstopFigures:
@@ -63,7 +66,7 @@ async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> Estop
     axes = fleet.axis_names
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
         rig = _Rig(live, tutti, draw)
-        await run_steps(tutti, [{"do": "enable", "axes": list(axes)}, {"do": "home"}])
+        await run_steps(tutti, [{"do": "enable", "axes": ["all"]}, {"do": "home", "axes": ["all"]}])
         await run_steps(tutti, [{"do": "move", "to": dict.fromkeys(axes, MIDDLE / 4)}])
         tcp: list[list[int]] = []
         uploading: list[int] = []
