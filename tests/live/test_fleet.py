@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import EXAMPLES, SLOW_AXES, RunningFleet, free_port, margin_s, run_tutti, wait_a_moment
+from fleet import EXAMPLES, READY, SLOW_AXES, RunningFleet, free_port, margin_s, run_tutti, wait_a_moment
 
 from orchestrator.clock.live import raw_ns
 from orchestrator.coordinator.journal import Journal
@@ -54,6 +54,14 @@ def own(tmp_path: Path) -> Iterator[RunningFleet]:
         yield fleet
     finally:
         fleet.close()
+
+
+def bring_back(fleet: RunningFleet) -> None:
+    """All axes to the beginning, enabled and homed first where one has lost that: the fleet works."""
+    fleet.works()
+    axes = [axis for state in fleet.status().values() for axis in state.axes.values()]
+    report = fleet.run(READY[-1:] if all(axis.enabled and axis.referenced for axis in axes) else READY)
+    assert report.state == "done", report.reason
 
 
 def test_the_demo_job_is_done_and_its_evidence_holds_the_truth(shared: RunningFleet) -> None:
@@ -128,7 +136,7 @@ def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFlee
     ],
 )
 def test_a_killed_process_stops_everything_and_work_goes_on(shared: RunningFleet, victim: str, bound_s: float) -> None:
-    shared.ready()
+    bring_back(shared)
     job_id = shared.slow_move()
     killed_ns = shared.kill(victim)
     took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
@@ -139,12 +147,12 @@ def test_a_killed_process_stops_everything_and_work_goes_on(shared: RunningFleet
     assert report.reason
     shared.works()
     assert {name: shared.starts(name) for name in SLOW_AXES} == starts
-    shared.ready()
+    bring_back(shared)
     note("rest_s", took_s)
 
 
 def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     before = {name: shared.starts(name) for name in SLOW_AXES}
     job_id = shared.submit([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
     wait_until(lambda: all(shared.starts(name) > count for name, count in before.items()), "both move")
@@ -156,13 +164,13 @@ def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: Runn
         assert max(took_s.values()) < COORDINATOR_LOST_S + RAMPS_S + BUSY_S, took_s
     shared.works()
     assert all(shared.starts(name) == count + 1 for name, count in before.items())
-    shared.ready()
+    bring_back(shared)
     note("rest_s", took_s)
     note("job", f"{report.state} {report.reason}")
 
 
 def test_a_hung_router_stops_everything_and_work_goes_on(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     job_id = shared.slow_move()
     router = shared.pid("orchestrator.bus.router_process")
     os.kill(router, signal.SIGSTOP)
@@ -178,12 +186,12 @@ def test_a_hung_router_stops_everything_and_work_goes_on(shared: RunningFleet) -
     assert report.reason
     shared.works()
     assert {name: shared.starts(name) for name in SLOW_AXES} == starts
-    shared.ready()
+    bring_back(shared)
     note("rest_s", took_s)
 
 
 def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     job_id = shared.slow_move()
     killed_ns = shared.kill("--name gantry")
     took_s = margin_s(killed_ns, shared.rest_ns("stage"))
@@ -191,12 +199,12 @@ def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet
     report = shared.wait(job_id)
     assert report.state == "failed"
     assert "gantry" in report.reason
-    shared.ready()
+    bring_back(shared)
     note("rest_s", took_s)
 
 
 def test_stop_ends_a_move(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     job_id = shared.slow_move()
     asked_ns = raw_ns()
     done = shared.tutti("stop", "--json")
@@ -211,7 +219,7 @@ def test_stop_ends_a_move(shared: RunningFleet) -> None:
 
 
 def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     shared.slow_move()
     asked_ns = raw_ns()
     done = shared.tutti("estop", "--reason", "test", "--json")
@@ -236,7 +244,7 @@ def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet) 
     finally:
         assert shared.tutti("reset").returncode == 0
     assert all(state.estop is None for state in shared.status().values())
-    shared.ready()
+    bring_back(shared)
     note("rest_s", took_s)
 
 
@@ -271,7 +279,7 @@ def test_bad_jobs_and_absent_fleets_have_their_exit_codes(shared: RunningFleet, 
 
 
 def test_axes_and_outputs_by_hand(shared: RunningFleet) -> None:
-    shared.ready()
+    bring_back(shared)
     moved = shared.tutti("axis", "move", "gantry.x=12", "stage.u=1500 um", "--line")
     assert (moved.returncode, moved.stdout.strip()) == (0, "there"), moved.stderr
     assert shared.tutti("axis", "move", "gantry.x=-2", "--relative").returncode == 0
