@@ -8,6 +8,8 @@ from unit.adapters.cia402_bench import Drives, config, run
 from adapters.cia402 import MAKE
 from adapters.contract import CannotDo, DriverFault, JogMove
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.messages import StartWay
+from orchestrator.plan.step import AxisMove, plan_step
 
 
 def test_one_sync_starts_all_drives_of_a_step() -> None:
@@ -175,3 +177,31 @@ def test_one_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_s
         await world.drivers[0].stop(False)
 
     run(main, count=2)
+
+
+def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_a_count() -> None:
+    """A drive that was stopped says the nearer count; a slow move shows the difference."""
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        for stopped_ms in (73, 111, 140):
+            here = (await world.driver.poll()).axes["a"].commanded_counts
+            t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
+            await world.arm(0, here + 40_000, t0_ns, here)
+            await world.driver.go()
+            await world.until(t0_ns + stopped_ms * NS_PER_MS)
+            await world.driver.stop(False)
+            await world.rest(500)
+            await world.driver.disarm()
+            here = (await world.driver.poll()).axes["a"].commanded_counts
+            assert 0.05 < abs(world.unit.position("1") - here) <= 0.5
+            slow = dict(plan_step([AxisMove("a", here, here + 20, 20.0, 4000.0)]).profiles)
+            t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
+            await world.driver.arm(world.driver.lower(slow, StartWay(), None), t0_ns, None)
+            await world.driver.verify()
+            await world.driver.go()
+            await world.driver.started()
+            ended = (await world.driver.outcome()).ended["a"]
+            assert ended.earliest_ns <= world.unit.motions[-1].end_ns <= ended.latest_ns
+
+    run(main)
