@@ -36,6 +36,7 @@ OFF_WEIGHT = 10.0
 HUGE = 2.0**40  # beyond any register
 _ABOUT = np.arange(-NEIGHBOURS, NEIGHBOURS + 1.0)
 _AND_NEXT = np.array([0.0, 1.0])
+_UNITS = np.array([SPEED_UNIT, RAMP_UNIT, RAMP_UNIT], float)  # of SP, AC and DC
 _GRID = np.linspace(0.0, 1.0, 33)  # of the move's duration, for its distance to the plan
 
 
@@ -70,21 +71,25 @@ class Trapezoid:
 
 @dataclass(frozen=True, slots=True)
 class _Law:
-    """A trapezoid over `way` counts from rest to rest: peak speed and ramps in counts and samples."""
+    """A trapezoid over `way` counts from rest to rest: peak speed and ramps in counts and samples; or many of them,
+    as arrays."""
 
     way: float
-    peak: float
-    up: float
-    down: float
-    length: float
+    peak: Array
+    up: Array
+    down: Array
+    length: Array
 
     @classmethod
-    def of(cls, way: float, speed: float, up: float, down: float) -> "_Law":
+    def of(cls, way: float, speed: Array, up: Array, down: Array) -> "_Law":
         ramps = 1.0 / up + 1.0 / down
-        if way >= speed * speed / 2 * ramps:
-            return cls(way, speed, up, down, way / speed + speed / 2 * ramps)
-        peak = math.sqrt(2 * way / ramps)
-        return cls(way, peak, up, down, peak * ramps)
+        peak = np.minimum(speed, np.sqrt(2 * way / ramps))
+        return cls(way, peak, up, down, way / peak + peak / 2 * ramps)
+
+    @classmethod
+    def by(cls, way: float, registers: Array) -> "_Law":
+        """registers: SP, AC and DC along the last axis."""
+        return cls.of(way, *np.moveaxis(registers / _UNITS, -1, 0))
 
     def at(self, t: Array) -> Array:
         rise, fall = self.peak / self.up, self.peak / self.down
@@ -96,8 +101,9 @@ class _Law:
         return np.where(t <= 0.0, 0.0, np.where(left <= 0.0, self.way, way))
 
     @property
-    def joints(self) -> tuple[float, float]:
-        return self.peak / self.up, self.length - self.peak / self.down
+    def joints(self) -> tuple[Array, Array, Array]:
+        """From ramp to cruise, from cruise to ramp, and the end."""
+        return self.peak / self.up, self.length - self.peak / self.down, self.length
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,35 +150,29 @@ def fit(
     early, late = (planned - NEAR, planned + NEAR) if place is None else (place.last - 1 + NEAR, place.last - NEAR)
     wanted = min(max(planned, early), late)
     plan_speed = way / (planned - ramp)
-    plan = _Law.of(way, plan_speed, plan_speed / ramp, plan_speed / ramp)
-    weight = OFF_WEIGHT * plan.peak
+    plan = _Law.of(way, np.array(plan_speed), np.array(plan_speed / ramp), np.array(plan_speed / ramp))
 
-    def off(length: Array | float) -> Array:
-        return weight * np.maximum(0.0, np.maximum(early - length, length - late))
+    def off(length: Array) -> Array:
+        return OFF_WEIGHT * plan.peak * np.maximum(0.0, np.maximum(early - length, length - late))
 
     def rank(candidates: Array) -> Array:
-        length, apart = _rough(plan, candidates, phase)
-        return off(length) + apart
+        laws = _Law.by(way, candidates)
+        return off(laws.length) + _apart(plan, laws, phase)
 
     candidates = _by_speed(plan, wanted, top_speed, top_ramp, model)
     ranks = rank(candidates)
     if ranks.min() > GOOD * plan.peak:
         more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
         candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
-    plan_itself = _Planned(profile, tick_s)
-    best: Trapezoid | None = None
-    best_rank = math.inf
-    for speed, up, down in islice(_distinct(candidates[np.argsort(ranks, kind="stable")]), FINALISTS):
-        law = _Law.of(way, speed / SPEED_UNIT, up / RAMP_UNIT, down / RAMP_UNIT)
-        error = _path_error(plan_itself, law, phase)
-        real_rank = float(off(law.length)) + error
-        if real_rank < best_rank:
-            longer = law.length - planned
-            at_limit = longer > 0.0 and (speed == top_speed or up == top_ramp)
-            beside = error if place is None else _path_error(plan_itself, law, 0.0)
-            best, best_rank = Trapezoid(distance, speed, up, down, law.length, longer, at_limit, beside), real_rank
-    assert best is not None
-    return best
+    finalists = np.array(list(islice(_distinct(candidates[np.argsort(ranks, kind="stable")]), FINALISTS)))
+    laws, exact = _Law.by(way, finalists[:, None, :]), _Planned(profile, tick_s)
+    errors = _path_errors(exact, laws, phase)
+    best = int(np.argmin(off(laws.length[:, 0]) + errors))
+    if place is not None:
+        errors = _path_errors(exact, laws, 0.0)
+    length, (speed, up, down) = float(laws.length[best, 0]), map(int, finalists[best])
+    at_limit = length > planned and (speed == top_speed or up == top_ramp)
+    return Trapezoid(distance, speed, up, down, length, length - planned, at_limit, float(errors[best]))
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
@@ -246,17 +246,13 @@ def _by_ramps(plan: _Law, planned: float, top_speed: int, top_ramp: int, model: 
     return _together(_values(low, model.speed_step, top_speed, _AND_NEXT), up, down)
 
 
-def _rough(plan: _Law, candidates: Array, phase: float) -> tuple[Array, Array]:
-    """The durations in samples, and a quick measure of the distance to the plan in counts: that of the two cruises,
-    drawn out over the time between the plan's ramps, when these begin `phase` samples later."""
-    speed, up, down = candidates[:, 0] / SPEED_UNIT, candidates[:, 1] / RAMP_UNIT, candidates[:, 2] / RAMP_UNIT
-    ramps = 1.0 / up + 1.0 / down
-    speed = np.minimum(speed, np.sqrt(2 * plan.way / ramps))
-    length = plan.way / speed + speed / 2 * ramps
-    rise, fall = plan.joints
-    faster = speed - plan.peak
-    behind = (speed * speed / up - plan.peak * plan.peak / plan.up) / 2 + speed * phase
-    return length, np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
+def _apart(plan: _Law, laws: _Law, phase: float) -> Array:
+    """A quick measure of the distance to the plan in counts: that of the two cruises, drawn out over the time between
+    the plan's ramps, when the laws begin `phase` samples later."""
+    rise, fall, _ = plan.joints
+    faster = laws.peak - plan.peak
+    behind = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * phase
+    return np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
 
 
 class _Planned:
@@ -279,12 +275,13 @@ class _Planned:
         return math.copysign(1.0, self._way) * np.where(time_s >= self._end_s, self._way, where)
 
 
-def _path_error(plan: _Planned, law: _Law, phase: float) -> float:
-    """Largest distance between plan and execution when that starts `phase` samples later, in counts.
+def _path_errors(plan: _Planned, laws: _Law, phase: float) -> Array:
+    """Largest distance between plan and the execution of each law when that starts `phase` samples later, in counts.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
-    joints = phase + np.array([*law.joints, law.length])
-    instants = np.concatenate([plan.joints, joints, _GRID * max(law.length, plan.length)])
-    return 0.5 + float(abs(law.at(instants - phase) - plan.at(instants)).max())
+    grid = _GRID * np.maximum(laws.length, plan.length)
+    joints = np.broadcast_to(plan.joints, (len(grid), len(plan.joints)))
+    instants = np.concatenate([joints, *(phase + each for each in laws.joints), grid], axis=1)
+    return 0.5 + abs(laws.at(instants - phase) - plan.at(instants)).max(axis=1)
