@@ -1,0 +1,84 @@
+"""What a controller is said to be doing while nobody looks at it: just after a stop, and before a start."""
+
+# pyright: reportPrivateUsage=false
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from adapters.condition import Condition
+from adapters.contract import AxisReading, Reading
+from adapters.presenter import Presenter
+from adapters.seat import Seat
+from adapters.unit import Unit
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.fleet import Controller
+
+CONFIG = Controller.model_validate(
+    {
+        "adapter": "smc4000",
+        "link": {"kind": "tcp", "host": "127.0.0.1", "port": 1},
+        "axes": {"x": {"motors": ["X"], "unit": "counts", "limits": {"velocity": 1, "acceleration": 1}}},
+    }
+)
+STOPPED_NS, UNTIL_NS = 1000, 2000
+
+
+@pytest.mark.parametrize(
+    ("read_ns", "now_ns", "following", "mode"),
+    [
+        (900, 1100, False, "stopping"),  # read before the stop: it may have begun to move since
+        (1001, 1100, False, "idle"),
+        (900, 2001, False, "idle"),  # as long as it may take has passed
+        (2500, 2600, True, "stopping"),  # its driver has not come to the end of the step
+    ],
+)
+def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
+    read_ns: int, now_ns: int, following: bool, mode: str
+) -> None:
+    reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
+    condition = Condition(CONFIG, reading=reading, faults=[], stopped_ns=STOPPED_NS, stopping_until_ns=UNTIL_NS)
+    nothing: Any = None
+    seat = SimpleNamespace(
+        controller="c",
+        config=CONFIG,
+        driver=nothing,
+        bus=nothing,
+        keys=nothing,
+        clock=SimpleNamespace(now_ns=lambda: now_ns),
+        instance="i",
+    )
+    presenter = Presenter(cast(Seat, seat), nothing, nothing, condition, lambda: None, lambda: following, dict)
+    assert presenter.mode() == mode
+
+
+def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
+    """A member that was released is believed dead after 0.7 s of silence, and its line may be taken until T0."""
+    t0_ns = 3 * NS_PER_S
+
+    async def main(clock: VirtualClock) -> list[int]:
+        beats: list[int] = []
+
+        def publish() -> None:
+            beats.append(clock.now_ns())
+            presenter.published_ns = clock.now_ns()
+
+        presenter = SimpleNamespace(published_ns=0, mode=lambda: "moving", publish=publish)
+        unit = SimpleNamespace(
+            _config=CONFIG,
+            _clock=clock,
+            _presenter=presenter,
+            _member=SimpleNamespace(ticket=SimpleNamespace(t0_host_ns=clock.now_ns() + t0_ns)),
+        )
+        began_ns = presenter.published_ns = clock.now_ns()
+        beating = asyncio.ensure_future(Unit._beat(cast(Unit, unit)))
+        await sleep_ns(clock, 2 * t0_ns)
+        beating.cancel()
+        return [at_ns - began_ns for at_ns in (began_ns, *beats)]
+
+    beats = run_virtual(main)
+    assert max(b - a for a, b in zip(beats, [*beats[1:], t0_ns], strict=True)) < 0.5 * NS_PER_S
+    assert beats[-1] < t0_ns
