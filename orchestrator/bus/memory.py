@@ -20,7 +20,8 @@ from orchestrator.bus.memory_medium import Latency, Waiting
 from orchestrator.bus.memory_presence import PresenceBoard, Token, Watch
 from orchestrator.bus.memory_requests import Requests, Served
 from orchestrator.bus.outcome import Outcome
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.virtual import VirtualClock
 
 LEASE_NS = 10 * NS_PER_S
 """How long a silent process is believed to be there: Zenoh's default."""
@@ -59,7 +60,7 @@ class MemoryNet:
 
     def __init__(
         self,
-        clock: Clock,
+        clock: VirtualClock,
         *,
         seed: int = 0,
         latency: Latency | None = None,
@@ -184,7 +185,7 @@ class MemoryNet:
 
     def at(self, at_ns: int, call: Callable[[], None]) -> None:
         """Let the medium do something later, in its own context whoever asked."""
-        self._context.copy().run(self.clock.call_at_ns, at_ns, call)
+        self.clock.call_at_ns(at_ns, call, self._context)
 
     def arrival_ns(self, priority: Priority = Priority.EVENT) -> int:
         """When something that leaves now is through the medium."""

@@ -9,8 +9,8 @@ import asyncio
 from math import ceil
 from typing import NamedTuple
 
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.bench_figures import Figure
 from orchestrator.lab.can_world import (
     ACCELERATION,
@@ -64,7 +64,7 @@ def bench_can(rounds: int, seed: int = 11) -> list[Figure]:
     ]
 
 
-async def _together(clock: Clock, seed: int, starts: int) -> list[_Round]:
+async def _together(clock: VirtualClock, seed: int, starts: int) -> list[_Round]:
     """Steps of all eight by their drivers, as a coordinator has them made, to and fro. One more is made before, because
     it brings the drives into their mode."""
     world = can_world(clock, seed)
@@ -101,7 +101,7 @@ async def _step(world: CanWorld, begin: int, end: int) -> _Round:
     return _Round((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, moving, 0.0)
 
 
-async def _scripted(clock: Clock, seed: int, count: int) -> list[float]:
+async def _scripted(clock: VirtualClock, seed: int, count: int) -> list[float]:
     """The skews when each drive gets its controlword by SDO, as soon as the one before has answered."""
     world = can_world(clock, seed)
     await world.ready()

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from math import ceil
 from typing import NamedTuple
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.bench_figures import Figure
 from orchestrator.lab.can_world import (
     ACCELERATION,
@@ -72,7 +72,7 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[Figure]:
     ]
 
 
-async def _streamed(clock: Clock, seed: int, moves: int) -> list[_Round]:
+async def _streamed(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
     world = can_world(clock, seed, {"jerk": JERK})
     await world.ready()
     found: list[_Round] = []
@@ -90,7 +90,7 @@ async def _streamed(clock: Clock, seed: int, moves: int) -> list[_Round]:
     return found
 
 
-async def _scripted(clock: Clock, seed: int, moves: int) -> list[_Round]:
+async def _scripted(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
     """The drives are enabled by their drivers; then a script has them."""
     world = can_world(clock, seed, {"jerk": JERK})
     await world.ready()
@@ -120,7 +120,7 @@ async def _scripted(clock: Clock, seed: int, moves: int) -> list[_Round]:
     return found
 
 
-async def _for_hours(clock: Clock, seed: int, hours: float) -> tuple[int, int]:
+async def _for_hours(clock: VirtualClock, seed: int, hours: float) -> tuple[int, int]:
     """Periods of the stream, and moves that ended otherwise than at their end."""
     world = can_world(clock, seed, {"jerk": JERK}, SLOW_LOOKS)
     await world.ready()

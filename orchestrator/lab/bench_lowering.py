@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, Lowered, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.lab.bench_lowering_ppsmc import bench_ppsmc
 from orchestrator.lab.bench_lowering_steppers import STEPPERS, bench_stepper
@@ -153,7 +153,7 @@ def _keeps_duration(found: Figure) -> bool:
 
 @dataclass(slots=True)
 class _World:
-    clock: Clock
+    clock: VirtualClock
     controller: SimulatedController
     driver: Driver
     config: Controller
@@ -193,7 +193,7 @@ class _World:
 def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]) -> Any:
     """Run `main` with a driver before a simulated controller."""
 
-    async def run(clock: Clock) -> Any:
+    async def run(clock: VirtualClock) -> Any:
         config = Controller.model_validate(subject.config)
         make = find_make(config.adapter)
         crystal = Oscillator(Random(seed).randrange(10**9), ppm)

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.link.memory import LAN, MemoryWire
 from orchestrator.model.fleet import Controller
@@ -101,7 +101,7 @@ def _keeps_p99(found: Figure) -> bool:
     return found.p99 <= ASKED_P99_MS
 
 
-async def _measure(clock: Clock, moves: int, ppm: float, seed: int) -> list[_Found]:
+async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> list[_Found]:
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
     timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
     unit = simulator(MAKE).build(clock, {}, oscillator=crystal, timing=timing, seed=seed)
@@ -163,7 +163,7 @@ def _feasible(at: int, draw: Random) -> Profile | None:
     return longer.profiles["a"] if mean >= SLOWEST and longer.duration_s <= DURATION_MOST_S else None
 
 
-async def _executed(clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
+async def _executed(clock: VirtualClock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
     """The true duration of the motion, s."""
     lowered = driver.lower({"a": profile}, StartWay(), None)
     t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS

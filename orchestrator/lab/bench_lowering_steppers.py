@@ -17,7 +17,7 @@ from adapters.host import find_make
 from adapters.shrc203.fleetaxes import bounds
 from adapters.shrc203.trapezoid import fit
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.bench_figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.link.memory import MemoryWire, can_wire, serial_wire
 from orchestrator.model.fleet import Controller
@@ -164,7 +164,7 @@ def _keeps_p99(found: Figure) -> bool:
 
 
 async def _measure(
-    clock: Clock, subject: Stepper, moves: int, ppm: float, seed: int, refused: list[int]
+    clock: VirtualClock, subject: Stepper, moves: int, ppm: float, seed: int, refused: list[int]
 ) -> list[_Found]:
     config = Controller.model_validate(
         {

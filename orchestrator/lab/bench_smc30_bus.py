@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
-from orchestrator.clock.virtual import run_virtual
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
@@ -55,7 +55,7 @@ class BusRow(NamedTuple):
 
 @dataclass(slots=True)
 class _Bus:
-    clock: Clock
+    clock: VirtualClock
     units: list[SimulatedController]
     drivers: list[Driver]
     wire: MemoryWire
@@ -92,7 +92,7 @@ def _row(way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]"
 def _run(seed: int, way: str) -> tuple[float, float]:
     """The skew of one start, and the furthest motion from T0, in ms."""
 
-    async def main(clock: Clock) -> tuple[float, float]:
+    async def main(clock: VirtualClock) -> tuple[float, float]:
         bus = _build(clock, seed)
         if way == "E":
             return await _one_by_one(bus), 0.0
@@ -102,7 +102,7 @@ def _run(seed: int, way: str) -> tuple[float, float]:
     return run_virtual(main)
 
 
-def _build(clock: Clock, seed: int) -> _Bus:
+def _build(clock: VirtualClock, seed: int) -> _Bus:
     draw = Random(seed)
 
     def spread(value: float) -> float:

@@ -330,7 +330,7 @@ class _Play:
         if at_ns is not None:
             self._target = None
             step = asked.step
-            Context().run(self._clock.call_at_ns, at_ns, lambda: None if reached.done() else reached.set_result(step))
+            self._clock.call_at_ns(at_ns, lambda: None if reached.done() else reached.set_result(step), Context())
 
     def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
         """When to break it, as soon as that can be told."""

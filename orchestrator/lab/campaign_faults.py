@@ -253,7 +253,7 @@ class Breaker:
 
     def _later(self, after_ns: int, call: Callable[[], None]) -> None:
         """Outside of every process."""
-        Context().run(self._clock.call_at_ns, self._clock.now_ns() + after_ns, call)
+        self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, Context())
 
 
 def _nothing() -> None:

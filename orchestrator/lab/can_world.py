@@ -14,7 +14,8 @@ from typing import Any
 from adapters.contract import Driver, Setup
 from adapters.firing import LoopFirer
 from adapters.host import find_make
-from orchestrator.clock.base import NS_PER_US, Clock
+from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.virtual import VirtualClock
 from orchestrator.lab.bench_figures import Figure, figure
 from orchestrator.link.can import CanFrame, CanLink
 from orchestrator.link.memory import MemoryWire, can_wire
@@ -46,7 +47,7 @@ def can_row(what: str, values: list[float], unit: str, asked: float | None = Non
 class CanWorld:
     """The bus, its drives and their drivers."""
 
-    clock: Clock
+    clock: VirtualClock
     segment: CanSegment
     units: list[SimulatedController]
     drivers: list[Driver]
@@ -73,7 +74,7 @@ class CanWorld:
 
 
 def can_world(
-    clock: Clock, seed: int, limits: Mapping[str, float] | None = None, simulate: Mapping[str, Any] | None = None
+    clock: VirtualClock, seed: int, limits: Mapping[str, float] | None = None, simulate: Mapping[str, Any] | None = None
 ) -> CanWorld:
     """limits: more of the axes', such as `jerk`. simulate: more options of the simulated drives."""
     draw = Random(seed)

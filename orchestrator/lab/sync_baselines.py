@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.virtual import VirtualClock
 from orchestrator.lab.sync_fleets import DRIFT_PPM, HOLD_MS, SPREAD_US, WANDER_PPM
 from orchestrator.link.base import Link
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire
@@ -34,7 +35,7 @@ class Baseline:
 
     fleet: str
     way: str
-    trial: Callable[[Clock, Random], Coroutine[Any, Any, int]]
+    trial: Callable[[VirtualClock, Random], Coroutine[Any, Any, int]]
 
 
 def _crystal(draw: Random) -> Oscillator:
@@ -66,7 +67,7 @@ async def _answered(link: Link, ends: bytes) -> None:
         seen += (await link.read()).data
 
 
-async def _broadcast(clock: Clock, draw: Random, shared: bool) -> int:
+async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
     """`!BG` to a daisy chain; with shared sample clock, `TM -1` in all units but the first (SMC-2000, L975)."""
     branches = {
         f"u{k}": Branch(k, {"axes": 2, "echo": False}, _crystal(draw), _TIMING, draw.randrange(2**31))
@@ -115,7 +116,7 @@ _SHRC203 = _Make(
 )
 
 
-async def _one_by_one(clock: Clock, draw: Random, makes: Sequence[_Make], waits: bool) -> int:
+async def _one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_Make], waits: bool) -> int:
     """Each controller on a link of its own is told to go; waits: only when the one before has acknowledged."""
     units: list[SimulatedController] = []
     links: list[Link] = []
@@ -141,7 +142,7 @@ async def _one_by_one(clock: Clock, draw: Random, makes: Sequence[_Make], waits:
     return _skew(units)
 
 
-def _wire(clock: Clock, far: Port, port: str, draw: Random, baud: int) -> MemoryWire:
+def _wire(clock: VirtualClock, far: Port, port: str, draw: Random, baud: int) -> MemoryWire:
     model = serial_wire(baud, hold_ns=_HOLD_NS) if baud else LAN
     return MemoryWire(clock, model, far, port, port, copy_context(), draw.randrange(2**31))
 

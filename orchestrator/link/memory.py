@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Protocol
 
-from orchestrator.clock.base import Clock
+from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import LinkClosed, LinkRefused, Received
 
 
@@ -68,7 +68,7 @@ class MemoryWire:
     far_context: the context of the process that the controller lives in.
     """
 
-    clock: Clock
+    clock: VirtualClock
     model: WireModel
     far: FarEnd
     port: str
@@ -81,6 +81,7 @@ class MemoryWire:
     to_near: Callable[[bytes], bytes] | None = None
     links: "list[MemoryLink]" = field(default_factory=list["MemoryLink"])
     draw: Random = field(init=False)
+    _outside: Context = field(init=False, default_factory=Context)
 
     def __post_init__(self) -> None:
         self.draw = Random(self.seed)
@@ -113,7 +114,7 @@ class MemoryWire:
 
     def later(self, at_ns: int, callback: Callable[[], None]) -> None:
         """Call `callback` at `at_ns` as a thing of the wire, which no process can hang."""
-        Context().run(self.clock.call_at_ns, at_ns, callback)
+        self.clock.call_at_ns(at_ns, callback, self._outside)
 
     def delay_ns(self) -> int:
         """One draw of the latency."""
