@@ -73,7 +73,7 @@ class Node:
         self.nmt = _BOOT_UP
         """Its NMT state, as its last heartbeat told."""
         self.beat_ns = 0
-        self._watchers: set[asyncio.Future[None]] = set()
+        self._watchers: list[asyncio.Future[None]] = []
         self._closed: LinkClosed | None = None
 
     @property
@@ -170,7 +170,7 @@ class Node:
             if self.clock.now_ns() >= until_ns:
                 return False
             watcher: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            self._watchers.add(watcher)
+            self._watchers.append(watcher)
 
             def late(watcher: "asyncio.Future[None]" = watcher) -> None:
                 if not watcher.done():
@@ -181,7 +181,7 @@ class Node:
                 await watcher
             finally:
                 timer.cancel()
-                self._watchers.discard(watcher)
+                self._watchers.remove(watcher)
 
     async def look(self) -> None:
         """Ask for its statusword. Raises `DriverFault` when it does not answer."""

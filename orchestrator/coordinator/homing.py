@@ -142,14 +142,13 @@ class Homing:
                     break
                 now = sorted(axis for axes in run.busy.values() for axis in axes)
                 progress((len(run.homed) - before) / total, f"homing {', '.join(now)}")
-                done, _ = await asyncio.wait([*tasks, waiting], return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait([*tasks, waiting], return_when=asyncio.FIRST_COMPLETED)
                 lost = guard.lost()
                 if lost is not None:
                     await self._stop(list(run.busy), "decelerate", actor, lost)
                     raise Refuse("permit", lost, "bring it about, then home again")
-                for task in done:
-                    if task is not waiting:
-                        self._take(run, tasks.pop(task), task.result())  # pyright: ignore[reportArgumentType]
+                for task in [each for each in tasks if each.done()]:
+                    self._take(run, tasks.pop(task), task.result())
         finally:
             unlisten()
             waiting.cancel()
