@@ -195,15 +195,14 @@ class Unit:
 
         Not in motion: nobody is to believe that all is well there who has not seen it.
         """
-        beat_ns = min(BEAT_NS, round(NS_PER_S / self._config.state.idle_hz))
         while True:
-            wait_ns = self._presenter.published_ns + beat_ns - self._clock.now_ns()
+            wait_ns = self._presenter.published_ns + BEAT_NS - self._clock.now_ns()
             if wait_ns <= 0:
                 ticket = self._member.ticket
                 waits = ticket is not None and self._clock.now_ns() < ticket.t0_host_ns
                 if waits or self._presenter.mode() != "moving":
                     self._presenter.publish()
-                wait_ns = beat_ns
+                wait_ns = BEAT_NS
             await sleep_ns(self._clock, wait_ns)
 
     def poke(self) -> None:

@@ -1,0 +1,35 @@
+"""How often a controller's adapter puts its state: as often as it polls, and not much less where it can not."""
+
+from orchestrator.bus.base import Sample
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.lab.sync_fleets import smc4000
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
+
+SECONDS = 10
+
+
+def states_in(idle_hz: float) -> int:
+    """How many states a controller at rest has put in `SECONDS`."""
+    controllers = {"a": {**smc4000(0), "state": {"idle_hz": idle_hz}}}
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
+
+    async def main(clock: VirtualClock) -> int:
+        heard: list[Sample] = []
+        virtual = VirtualFleet(fleet, clock, 1)
+        await virtual.start()
+        await virtual.net.join("watcher").subscribe(virtual.keys.state(), heard.append)
+        await sleep_ns(clock, SECONDS * NS_PER_S)
+        return len(heard)
+
+    return run_virtual(main)
+
+
+def test_no_heartbeat_comes_beside_polls() -> None:
+    assert 0.9 * SECONDS * 5 < states_in(5.0) <= SECONDS * 5
+
+
+def test_who_is_polled_seldom_is_heard_of_all_the_same() -> None:
+    # Every second by the poll, and in between as often as silence would be noticed.
+    assert 2 * SECONDS <= states_in(1.0) <= 3 * SECONDS
