@@ -11,6 +11,7 @@ for the two program lines that the next one takes, which at such rates is a smal
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, floor, sqrt
 from typing import NamedTuple
 
@@ -118,8 +119,11 @@ def allowed(ramp: Ramp, limits: Bounds) -> bool:
     )
 
 
+@lru_cache(maxsize=64)
 def fit(steps: int, duration_s: float, ramp_s: float, limits: Bounds, gap_s: float) -> Shape | None:
     """The numbers of a whole move; gap_s: the pause between commands.
+
+    What was found is kept: to be armed, a move is lowered again.
 
     None: no numbers keep the limits. Where the wanted time is out of reach the result is the nearest that can be done.
     """

@@ -24,7 +24,7 @@ class SampleClock:
         self._last: Sample | None = None
         self._whole_ns = 0
         self._mapping: TickMapping | None = None
-        self._mapping_ns = 0
+        self._mapped: Sample | None = None
         self._taken = 0
         self._fastest: Sample | None = None
 
@@ -53,7 +53,7 @@ class SampleClock:
         """The counter means something else from now on."""
         self._estimator.forget()
         self._last = None
-        self._mapping = None
+        self._mapping = self._mapped = None
         self._taken = 0
         self._fastest = None
 
@@ -62,9 +62,11 @@ class SampleClock:
         last = self._last
         if last is None:
             return None
-        if self._mapping is None or self._taken <= 16 or last.received_ns - self._mapping_ns >= REFRESH_NS:
-            self._mapping = self._estimator.mapping()
-            self._mapping_ns = last.received_ns
+        mapped = self._mapped
+        if mapped is not last and (
+            mapped is None or self._taken <= 16 or last.received_ns - mapped.received_ns >= REFRESH_NS
+        ):
+            self._mapping, self._mapped = self._estimator.mapping(), last
         return self._mapping
 
     def _add(self, sample: Sample) -> None:

@@ -9,9 +9,8 @@ Keys and expressions are checked (`orchestrator.bus.expression`); a malformed on
 """
 
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class Priority(Enum):
@@ -22,8 +21,7 @@ class Priority(Enum):
     ESTOP = "estop"
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One value put on a key."""
 
     key: str

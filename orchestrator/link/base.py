@@ -1,7 +1,6 @@
 """A link to a controller: bytes out and in, each with a host time stamp."""
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class LinkRefused(Exception):
@@ -12,8 +11,7 @@ class LinkClosed(Exception):
     """The link is closed, by us, by the other side, or by the wire. Names it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """Bytes as they came. at_ns: host time when the last of them was taken from the operating system."""
 
     data: bytes

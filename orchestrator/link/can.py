@@ -8,6 +8,8 @@ firing process, a guardian's stop, the trace, faults on a wire) holds for frames
 import struct
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 from orchestrator.link.base import Link
 
@@ -65,8 +67,7 @@ class CanFrame:
         return f"{name}#" + (f"R{len(self.data)}" if self.rtr else self.data.hex().upper())
 
 
-@dataclass(frozen=True, slots=True)
-class CanReceived:
+class CanReceived(NamedTuple):
     """A frame as it came. at_ns: host time when it was taken from the operating system."""
 
     frame: CanFrame
@@ -78,6 +79,7 @@ def encode(*frames: CanFrame) -> bytes:
     return b"".join(map(_encode, frames))
 
 
+@lru_cache(maxsize=4096)
 def _encode(frame: CanFrame) -> bytes:
     flags = _EXTENDED * frame.extended | _REMOTE * frame.rtr | _ERROR * frame.error
     return struct.pack("<IB3x8s", frame.id | flags, len(frame.data), frame.data)
@@ -90,7 +92,9 @@ def decode(data: bytes) -> list[CanFrame]:
     return [_decode(data[at : at + FRAME_BYTES]) for at in range(0, len(data), FRAME_BYTES)]
 
 
+@lru_cache(maxsize=4096)
 def _decode(data: bytes) -> CanFrame:
+    """Drives at rest say the same few frames again and again."""
     word, length, payload = struct.unpack("<IB3x8s", data)
     return CanFrame(
         id=word & _EXTENDED_MASK,

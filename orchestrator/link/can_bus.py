@@ -241,8 +241,10 @@ class MemoryCanBus:
 
     def kick(self) -> None:
         """See to it that the next frame starts when it can."""
+        if self._sending:
+            return
         ready = [node for node in self._nodes if node.waiting and not node.parked]
-        if self._sending or not ready:
+        if not ready:
             return
         at_ns = max(self.clock.now_ns(), self._free_ns, min(node.silent_until_ns for node in ready))
         if self._starts_ns is None or at_ns < self._starts_ns:
@@ -259,12 +261,13 @@ class MemoryCanBus:
             self.kick()
             return
         heads = [(_rank(frame), node, frame) for node in ready for frame in (node.best(),)]
-        least, _, frame = min(heads, key=lambda head: head[0])
-        senders = [node for rank, node, _ in heads if rank == least]
+        least, _, frame = heads[0] if len(heads) == 1 else min(heads, key=lambda head: head[0])
+        same = [(node, head) for rank, node, head in heads if rank == least]
+        senders = [node for node, _ in same]
         begin_ns = planned_ns
         self._sending = True
         acknowledged = not self.cut and any(node.hears for node in self._nodes if node not in senders)
-        spoilt = any(node.best() != frame or not node.hears for node in senders) or self._is_disturbed()
+        spoilt = any(head != frame or not node.hears for node, head in same) or self._is_disturbed()
         bits = exact_bits(frame)
         if spoilt:
             bits = self._draw.randint(1, bits - INTERMISSION_BITS) + ERROR_FRAME_BITS + INTERMISSION_BITS

@@ -20,7 +20,7 @@ HostNs = Annotated[int, BeforeValidator(lambda value: int(value)), PlainSerializ
 
 def parse_rational(value: object) -> Fraction:
     """An exact rational from an int, `"10000/3"` or `"0.25"`; a float is taken as the decimal it prints as."""
-    if isinstance(value, Fraction):
+    if type(value) is Fraction:  # not by isinstance: of an abstract class that takes longer than all the rest
         return value
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')

@@ -25,6 +25,8 @@ class Oscillator:
     _random: random.Random = field(init=False, repr=False)
     _rates: list[float] = field(init=False, repr=False)  # device ns per true ns, in each second
     _starts: list[int] = field(init=False, repr=False)  # device ns at the start of each second
+    _seen_ns: int = field(default=-1, init=False, repr=False)
+    _seen_device_ns: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
@@ -35,9 +37,12 @@ class Oscillator:
         """Device time at `true_ns` (>= 0)."""
         if not self.wander_ppm:
             return self.offset_ns + true_ns + round(true_ns * self.drift_ppm * 1e-6)
-        second, rest_ns = divmod(true_ns, _NS_PER_S)
-        self._extend(second)
-        return self._starts[second] + round(rest_ns * self._rates[second])
+        if true_ns != self._seen_ns:  # asked again and again in one instant
+            second, rest_ns = divmod(true_ns, _NS_PER_S)
+            if second >= len(self._rates):
+                self._extend(second)
+            self._seen_ns, self._seen_device_ns = true_ns, self._starts[second] + round(rest_ns * self._rates[second])
+        return self._seen_device_ns
 
     def true_ns(self, device_ns: int) -> int:
         """The first true instant at which device time has reached `device_ns`; 0 if it always had."""
@@ -54,7 +59,12 @@ class Oscillator:
             while self._starts[second + 1] <= device_ns:
                 second += 1
                 self._extend(second + 1)
-            guess_ns = second * _NS_PER_S + round((device_ns - self._starts[second]) / self._rates[second])
+            start_ns, rate = self._starts[second], self._rates[second]
+            rest_ns = round((device_ns - start_ns) / rate)
+            # Mostly it is just that; at the edges of a second it is looked for.
+            if rest_ns and start_ns + round((rest_ns - 1) * rate) < device_ns <= start_ns + round(rest_ns * rate):
+                return second * _NS_PER_S + rest_ns
+            guess_ns = second * _NS_PER_S + rest_ns
         while self.device_ns(guess_ns) < device_ns:
             guess_ns += 1
         while guess_ns > 0 and self.device_ns(guess_ns - 1) >= device_ns:

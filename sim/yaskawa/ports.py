@@ -110,7 +110,9 @@ class Port:
 
     def _holds(self) -> bool:
         """Whether a download that has been asked for decides what the next bytes are."""
-        return self.download is None and any(statement.op in _TAKING for statement, _ in self.queue)
+        if self.download is not None or not self.queue:
+            return False
+        return any(statement.op in _TAKING for statement, _ in self.queue)
 
     def _take(self, character: str, packet: int) -> None:
         if self._control:

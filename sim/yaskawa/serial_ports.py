@@ -1,5 +1,6 @@
 """Serial ports of the SMC-2000: the main one with echo, `%A` and `!`, and the general one (L829-L1011)."""
 
+from sim.yaskawa.entry import OperatorEntry
 from sim.yaskawa.ports import Port
 from sim.yaskawa.statements import Statement, compile_line
 
@@ -27,14 +28,19 @@ class CommandPort(Port):
         machine = self.machine
         machine.catch_up()
         machine.settle()
+        entry = machine.entries["S"]
         for character in data.decode("latin-1"):
-            self._arrive(character)
+            if machine.echo or machine.interrupting_on or entry.enabled:
+                self._arrive(character, entry)
+            else:
+                self._fresh = character in "\r;"
+                self._packets.append((character, HEARD))
+                self.feed()
         self.feed()
         machine.go_on()
 
-    def _arrive(self, character: str) -> None:
+    def _arrive(self, character: str, entry: OperatorEntry) -> None:
         machine = self.machine
-        entry = machine.entries["S"]
         if self._echoes(character):
             self.emit(character)
         mode = machine.interrupting["S"]
