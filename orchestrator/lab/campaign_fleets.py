@@ -13,10 +13,11 @@ LEAST, MOST = 4, 6  # controllers of a fleet
 TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
 PERMIT = "door"
 
-# Slower than the usual rates: a fleet at rest is polled half as often. Still more often than a silent adapter is.
-_RATES = {"idle_hz": 2.5, "moving_hz": 5.0}
+# Slower than the usual rate, as with many controllers on one computer. Where a permit is, it is looked at more often.
+_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
+_GUARDING = {"idle_hz": 3.0, "moving_hz": 5.0}
 # Homing is not what is looked at: it has not far to go.
-_NEAR = {"axes": 2, "home_edge": {"X": -200, "Y": -150}, "index_every": {"X": 100, "Y": 100}}
+_NEAR = {"axes": 2, "home_edge": {"X": -40, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
 _DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 
 Draft = dict[str, dict[str, Any]]
@@ -46,26 +47,31 @@ def _shrc203(number: int, units: int, draw: Random) -> Draft:
 
 
 def _ppsmc(number: int, units: int, draw: Random) -> Draft:
-    return {f"d{number}": makes.ppsmc(number)}
+    config = makes.ppsmc(number)
+    config["simulate"]["options"] = {"axes": 1, "org_steps": {"1": [-9000, -200]}}
+    return {f"d{number}": config}
 
 
 def _smc30(number: int, units: int, draw: Random) -> Draft:
     drafts = {f"e{number}-{unit}": makes.smc30(number, unit) for unit in range(1, units + 1)}
     for config in drafts.values():
-        config["simulate"]["options"] = {"checksum": True, "travel_steps": [-2000, 400_000]}
+        config["simulate"]["options"] = {"checksum": True, "travel_steps": [-200, 400_000]}
     return drafts
 
 
 def _cia402(number: int, units: int, draw: Random) -> Draft:
     """Drives on one CAN bus, whose reference is where they stand."""
     drafts: Draft = {}
+    options = {"state_ms": draw.choice((50, 100, 150)), "inhibit_ms": draw.choice((10, 20, 40))}
+    event_ms = draw.choice((10, 20, 40))
     for unit in range(1, units + 1):
         link = {"kind": "can", "interface": "socketcan", "channel": f"can{number}", "unit": unit}
         drafts[f"f{number}-{unit}"] = {
             "adapter": "cia402",
             "link": link,
+            "options": options,
             "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": "37"}}},
-            "simulate": {"options": {"event_ms": 10}, "decode_us": 300, "spread_us": 200},
+            "simulate": {"options": {"event_ms": event_ms}, "decode_us": 300, "spread_us": 200},
         }
     return drafts
 
@@ -114,7 +120,8 @@ def _finished(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]
     }
     axes = {name: {**axis, "soft_limits": _soft_limits(axis)} for name, axis in config["axes"].items()}
     simulate = {**config["simulate"], **crystal}
-    return {**config, "axes": axes, "simulate": simulate, "host": host, "state": _RATES}
+    rates = _GUARDING if PERMIT in config.get("inputs", {}) else _RATES
+    return {**config, "axes": axes, "simulate": simulate, "host": host, "state": rates}
 
 
 def _soft_limits(axis: dict[str, Any]) -> dict[str, float]:
