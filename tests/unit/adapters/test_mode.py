@@ -1,4 +1,4 @@
-"""What a controller is said to be doing while nobody looks at it: just after a stop, and before a start."""
+"""What a controller is said to be doing while nobody looks at it: after a stop, before a start, without a link."""
 
 # pyright: reportPrivateUsage=false
 
@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from adapters.condition import Condition
+from adapters.condition import STARTING, Condition
 from adapters.contract import AxisReading, Reading
 from adapters.presenter import Presenter
 from adapters.seat import Seat
@@ -27,6 +27,10 @@ CONFIG = Controller.model_validate(
 STOPPED_NS, UNTIL_NS = 1000, 2000
 
 
+def nothing(*_: object, **__: object) -> None:
+    return None
+
+
 @pytest.mark.parametrize(
     ("read_ns", "now_ns", "following", "mode"),
     [
@@ -41,17 +45,17 @@ def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
 ) -> None:
     reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
     condition = Condition(CONFIG, reading=reading, faults=[], stopped_ns=STOPPED_NS, stopping_until_ns=UNTIL_NS)
-    nothing: Any = None
+    absent: Any = None
     seat = SimpleNamespace(
         controller="c",
         config=CONFIG,
-        driver=nothing,
-        bus=nothing,
-        keys=nothing,
+        driver=absent,
+        bus=absent,
+        keys=absent,
         clock=SimpleNamespace(now_ns=lambda: now_ns),
         instance="i",
     )
-    presenter = Presenter(cast(Seat, seat), nothing, nothing, condition, lambda: None, lambda: following, dict)
+    presenter = Presenter(cast(Seat, seat), absent, absent, condition, lambda: None, lambda: following, dict)
     assert presenter.mode() == mode
 
 
@@ -82,3 +86,25 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
     beats = run_virtual(main)
     assert max(b - a for a, b in zip(beats, [*beats[1:], t0_ns], strict=True)) < 0.5 * NS_PER_S
     assert beats[-1] < t0_ns
+
+
+@pytest.mark.parametrize(
+    ("read_ns", "moving", "following", "owed"),
+    [(900, False, False, True), (1001, True, False, True), (1001, False, True, True), (1001, False, False, False)],
+)
+def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did(
+    read_ns: int, moving: bool, following: bool, owed: bool
+) -> None:
+    """What it was told may have been lost with the link."""
+    reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
+    unit = SimpleNamespace(
+        controller="c",
+        _condition=Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS),
+        _member=SimpleNamespace(ticket=None, following=following, lost=nothing),
+        _jogging=SimpleNamespace(ended_all=nothing),
+        _presenter=SimpleNamespace(emit=nothing),
+        _log=SimpleNamespace(warning=nothing),
+        _stop_owed=False,
+    )
+    Unit._offline(cast(Unit, unit), STARTING)
+    assert unit._stop_owed is owed
