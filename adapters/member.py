@@ -300,8 +300,10 @@ class Member:
                 self.lost(str(error))
                 if isinstance(error, DriverFault):
                     await self._driver.stop(False)
-            if self.ticket is None and isinstance(error, DriverFault):
-                await self._driver.disarm()  # what did not start as it should is not to be in the way of the next step
+            if isinstance(error, DriverFault):
+                async with self._turn:  # not while the next step is armed
+                    if self.ticket is None:
+                        await self._driver.disarm()  # what did not start as it should is not to be in its way
             return
         self.ticket = None
         for axis, span in outcome.ended.items():

@@ -171,3 +171,27 @@ def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> No
         assert desk.member.ticket is None
 
     run(body)
+
+
+def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> None:
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        await desk.member.stop(False, "stop")
+        loaded: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        async def arm(*_: object) -> dict[str, int]:
+            await loaded
+            desk.driver.told.append("arm")
+            return {}
+
+        desk.driver.arm = arm
+        arming = asyncio.ensure_future(desk.arm(1, NEXT_T0_NS))
+        await desk.later()
+        desk.driver.begun.set_exception(DriverFault("not-started", "the program was halted", ""))
+        await desk.later()
+        loaded.set_result(None)
+        await arming
+        await desk.later()
+        assert desk.driver.told == ["arm", "verify", "go", "stop", "arm"]
+
+    run(body)
