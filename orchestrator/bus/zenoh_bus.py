@@ -10,7 +10,9 @@ from a sender thread of its own. Presence stands on the session that serves, so 
 # pyright: reportMissingModuleSource=false
 
 import asyncio
+import atexit
 import logging
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -30,6 +32,11 @@ QUEUE_LIMIT = 1000
 
 CLOSE_TIMEOUT_S = 1.0
 """For each of: putting what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
+
+_LEFT_S = 12.0
+_DROPPED_S = 0.1
+"""A process that left its sessions while they were being closed does not end before they are, and what they held is
+dropped: the interpreter would end Zenoh's threads in the middle of that, and they the process, by SIGABRT."""
 
 _GRACE_S = 0.02
 """A request ends without replies either because nobody serves it or because the router has just died, which the
@@ -274,7 +281,23 @@ class ZenohBus:
             task.cancel()
         self._inbox.close()
         await off_loop("bus-close", self._flush)
-        closing = [off_loop("bus-close", session.close) for session in (self._lossy, self._sure)]
+        gone = threading.Semaphore(0)
+
+        def leave(session: zenoh.Session) -> None:
+            try:
+                session.close()
+            finally:
+                gone.release()
+
+        def end() -> None:
+            until_s = time.monotonic() + _LEFT_S
+            for sender in (self._sure_sender, self._lossy_sender):
+                sender.join(max(0.0, until_s - time.monotonic()))
+            for _ in closing:
+                gone.acquire(timeout=max(0.0, until_s - time.monotonic()))
+            time.sleep(_DROPPED_S)
+
+        closing = [off_loop("bus-close", partial(leave, session)) for session in (self._lossy, self._sure)]
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 for failure in await asyncio.gather(*closing, return_exceptions=True):
@@ -282,12 +305,13 @@ class ZenohBus:
                         _LOG.warning("closing the bus at %s: %s", self._endpoint, failure)
         except TimeoutError:
             _LOG.warning("the router at %s does not take our leave; left without", self._endpoint)
+            atexit.register(end)
 
     def _flush(self) -> None:
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
         for sender in (self._sure_sender, self._lossy_sender):
-            if not sender.stop(max(0.0, until_s - time.monotonic())):
-                _LOG.warning("%d samples were not taken by the bus at %s", sender.backlog, self._endpoint)
+            if left := sender.stop(max(0.0, until_s - time.monotonic())):
+                _LOG.warning("%d samples were not taken by the bus at %s", left, self._endpoint)
 
     async def _declare(self, declare: Callable[[], T]) -> T:
         self._check_open()

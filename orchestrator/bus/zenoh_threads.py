@@ -41,6 +41,10 @@ class _Lanes:
     def add(self, priority: Priority, call: Callable[[], None]) -> None:
         self._lanes[priority].append(call)
 
+    def clear(self) -> None:
+        for lane in self._lanes.values():
+            lane.clear()
+
     def next(self) -> Callable[[], None] | None:
         for lane in self._lanes.values():
             if lane:
@@ -71,13 +75,21 @@ class Sender:
             self._lanes.add(priority, call)
             self._changed.notify()
 
-    def stop(self, timeout_s: float) -> bool:
-        """Make what is left, then end. False when that did not succeed in time; the thread is then left alone."""
+    def stop(self, timeout_s: float) -> int:
+        """Make what is left, then end. How many calls were not made in time: they are lost, all but the one that is
+        being made."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
         self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        with self._changed:
+            left = len(self._lanes) + self._busy
+            self._lanes.clear()
+            return left
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end of a call that is still being made."""
+        self._thread.join(timeout_s)
 
     def _run(self) -> None:
         while (call := self._take()) is not None:
