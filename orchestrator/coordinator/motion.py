@@ -43,6 +43,7 @@ ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
 ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
+TOO_SLOW = ("late", "no-answer")  # who has not answered in the time that a short lead leaves may have been busy
 
 
 T = TypeVar("T")
@@ -205,7 +206,7 @@ class Motion:
                     raise Refuse("late", "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
-                if refused.refusal.code != "late" or not moving.unloaded:
+                if refused.refusal.code not in TOO_SLOW or not moving.unloaded:
                     raise
                 late = refused
             else:

@@ -1,10 +1,11 @@
 """The lead over arming: as members declare it at first, as short as they have shown later, and long again when one is late."""
 
+import asyncio
 from dataclasses import replace
 
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
-from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.pace import KEPT, MARGIN_NS, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
@@ -32,6 +33,31 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
         slow = await waited_ns(KEPT)
         assert slow > waits[-1]
         assert any("arming again with more lead" in line for line in fleet.lines)
+
+    run_fleet(main)
+
+
+def test_a_member_that_was_too_busy_to_hear_go_is_armed_again() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        for k in range(KEPT):
+            await outcome(fleet, job(STEPS % (10 + k % 2, 1 + k % 2), max_start_skew="20 ms"))
+        starts = {name: len(each.motions) for name, each in fleet.controllers.items()}
+
+        told = len(fleet.lines)
+        running = asyncio.ensure_future(outcome(fleet, job(STEPS % (20, 3), max_start_skew="20 ms")))
+        while not any("job is committed" in line for line in fleet.lines[told:]):
+            await sleep_ns(fleet.clock, NS_PER_MS // 10)
+        fleet.freeze("host/local")
+        await sleep_ns(fleet.clock, 130 * NS_PER_MS)
+        fleet.resume("host/local")
+        report = await running
+        assert report.state == "done", report.reason
+        assert any("has not answered go" in line for line in fleet.lines[told:])
+        assert {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()} == {
+            "gantry": 1,
+            "stage": 1,
+        }
 
     run_fleet(main)
 
