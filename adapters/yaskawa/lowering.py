@@ -160,9 +160,8 @@ def lower_moves(
         for scale in [float(config.axes[axis].scale)]
     }
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
-    shapes, why = _by_registers(way, bounds, tick_ns, model)
-    if shapes is not None and how.exact and how.wait is None:
-        shapes = _ending_together(shapes, way, bounds, mapping, how, model)
+    places = _places(way, mapping, how) if how.exact and how.wait is None else {}
+    shapes, why = _by_registers(way, bounds, tick_ns, model, places)
     load: Registers | Records
     note: tuple[str, ...] = ()
     slow = isinstance(packets, arrays.SlowUpload)
@@ -182,48 +181,49 @@ def lower_moves(
 
 
 def _by_registers(
-    way: Mapping[str, Profile], bounds: Mapping[str, Bounds], tick_ns: float, model: Model
+    way: Mapping[str, Profile],
+    bounds: Mapping[str, Bounds],
+    tick_ns: float,
+    model: Model,
+    places: Mapping[str, Place],
 ) -> tuple[dict[str, Trapezoid] | None, str]:
-    """The trapezoids, None where an axis's profile is none; and why they should rather be a contour, or nothing."""
+    """The trapezoids, None where an axis's profile is none; and why they should rather be a contour, or nothing.
+
+    places: where axes should lie on the samples; where the registers can not do that, as near to the plan as they can.
+    """
     shapes: dict[str, Trapezoid] = {}
+    reasons: list[str] = []
     for axis, profile in way.items():
         try:
-            shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model)
+            place = places.get(axis)
+            if place is not None:
+                shape = shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model, place)
+                if shape.samples == place.last and _near(shape, profile, tick_ns):
+                    continue
+            shape = shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model)
         except CannotDo as refusal:
             if refusal.refusal.code != "shape":
                 raise
             return None, ""
-    reasons = [
-        f"by its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and goes up to "
-        f"{shape.path_error_counts:.0f} counts beside its plan"
-        for axis, shape in shapes.items()
-        if not _suffices(shape, way[axis], tick_ns)
-    ]
+        if not _suffices(shape, profile, tick_ns):
+            reasons.append(
+                f"by its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and goes up to "
+                f"{shape.path_error_counts:.0f} counts beside its plan"
+            )
     return shapes, reasons[0] if reasons else ""
 
 
-def _ending_together(
-    shapes: Mapping[str, Trapezoid],
-    way: Mapping[str, Profile],
-    bounds: Mapping[str, Bounds],
-    mapping: TickMapping,
-    how: StartWay,
-    model: Model,
-) -> dict[str, Trapezoid]:
-    """The same moves, ending at the samples next to where all should end, where the registers can do that as well."""
+def _places(way: Mapping[str, Profile], mapping: TickMapping, how: StartWay) -> dict[str, Place]:
+    """Each axis at the samples next to where all should begin and end."""
     at = mapping.ticks(mapping.host_at_ns + how.lead_ns)
     phase = round(at) - at
-    found = dict(shapes)
+    places: dict[str, Place] = {}
     for axis, profile in way.items():
         ends_ns = profile.duration_s * 1e9
         # An axis that ends before the others has an end of its own.
         ends_ns = how.end_ns if 0.0 <= how.end_ns - ends_ns <= LATER_TICKS * mapping.tick_ns else ends_ns
-        place = Place(phase, round(ends_ns / mapping.tick_ns - phase))
-        shape = fit(axis, profile, bounds[axis], mapping.tick_ns, model, place)
-        in_time = shape.samples == place.last
-        if in_time and _near(shape, profile, mapping.tick_ns):
-            found[axis] = shape
-    return found
+        places[axis] = Place(phase, round(ends_ns / mapping.tick_ns - phase))
+    return places
 
 
 def _suffices(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:

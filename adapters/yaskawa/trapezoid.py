@@ -10,9 +10,7 @@ end of the plan. Without that, a move may begin half a sample beside T0 and end 
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,7 @@ ROOM = 1e-6  # beyond a limit, relative: rounding of a plan that uses it to the 
 SYMMETRIC = 1e-6  # of the duration: how far the two ramps may differ
 NOTHING_S = 1e-9  # a shorter segment is one that the planner left empty
 NEIGHBOURS = 6  # speeds on either side of the planned one, and ramps on either side of its own
+ALIKE = 200  # the best, among which there are so many different ones as finalists
 FINALISTS = 4  # candidates whose distance to the plan is worked out in full
 NEAR = 0.02  # samples that a duration may be off for nothing: less than anybody can see of it
 GOOD = 0.1  # samples off, in time or way, that no further search is needed for
@@ -164,13 +163,13 @@ def fit(
     if ranks.min() > GOOD * plan.peak:
         more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
         candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
-    finalists = np.array(list(islice(_distinct(candidates[np.argsort(ranks, kind="stable")]), FINALISTS)))
+    finalists = _distinct(candidates[np.argsort(ranks, kind="stable")[:ALIKE]])[:FINALISTS]
     laws, exact = _Law.by(way, finalists[:, None, :]), _Planned(profile, tick_s)
     errors = _path_errors(exact, laws, phase)
     best = int(np.argmin(off(laws.length[:, 0]) + errors))
     if place is not None:
         errors = _path_errors(exact, laws, 0.0)
-    length, (speed, up, down) = float(laws.length[best, 0]), map(int, finalists[best])
+    length, (speed, up, down) = float(laws.length[best, 0]), (int(each) for each in finalists[best])
     at_limit = length > planned and (speed == top_speed or up == top_ramp)
     return Trapezoid(distance, speed, up, down, length, length - planned, at_limit, float(errors[best]))
 
@@ -204,14 +203,10 @@ def _values(value: Array, step: int, top: int, neighbours: Array) -> Array:
     return np.clip((np.minimum(value, HUGE) // step + neighbours) * step, step, top)
 
 
-def _distinct(candidates: Array) -> Iterator[tuple[int, int, int]]:
+def _distinct(candidates: Array) -> Array:
     """Each once, in order: one may have been found in several ways."""
-    seen: set[tuple[int, int, int]] = set()
-    for speed, up, down in candidates:
-        each = int(speed), int(up), int(down)
-        if each not in seen:
-            seen.add(each)
-            yield each
+    rows: list[list[float]] = candidates.tolist()
+    return np.array(list(dict.fromkeys((speed, up, down) for speed, up, down in rows)))
 
 
 def _together(*parts: Array) -> Array:

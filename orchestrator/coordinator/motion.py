@@ -32,7 +32,7 @@ from orchestrator.model.messages import (
     StopMode,
 )
 from orchestrator.model.report import JobState, MemberReport, StepReport
-from orchestrator.model.state import AxisEvidence, AxisState, Event, Info, Interval
+from orchestrator.model.state import AxisEvidence, AxisState, ControllerState, Event, Info, Interval
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import Targets, plan_step
 
@@ -148,21 +148,8 @@ class Motion:
         states: dict[str, AxisState] = {}
         infos: dict[str, Info] = {}
         instances: dict[str, str] = {}
-        for member in members:
-            try:
-                state = await self._view.fresh(member)
-                instances[member] = state.instance
-                infos[member] = await self._view.info(member)
-            except BusError as error:
-                raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
-            if state.mode == "offline":
-                fault = state.faults[0] if state.faults else None
-                raise Refuse(
-                    "offline",
-                    f"{member} can not be reached: {fault.text if fault else 'no link'}",
-                    fault.remedy if fault else "check its link",
-                    member,
-                )
+        for member, (state, info) in zip(members, await asyncio.gather(*map(self._look, members)), strict=True):
+            infos[member], instances[member] = info, state.instance
             states |= {f"{member}.{axis}": each for axis, each in state.axes.items()}
         missing = self._permits.missing(names)
         if missing is not None:
@@ -173,6 +160,22 @@ class Motion:
         except PlanError as error:
             raise Refuse("plan", str(error)) from None
         return Moving(job_id, index, job.actor, resolved, plan, instances)
+
+    async def _look(self, member: str) -> tuple[ControllerState, Info]:
+        try:
+            state = await self._view.fresh(member)
+            info = await self._view.info(member)
+        except BusError as error:
+            raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
+        if state.mode == "offline":
+            fault = state.faults[0] if state.faults else None
+            raise Refuse(
+                "offline",
+                f"{member} can not be reached: {fault.text if fault else 'no link'}",
+                fault.remedy if fault else "check its link",
+                member,
+            )
+        return state, info
 
     # Arm, commit, go
 

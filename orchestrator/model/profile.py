@@ -67,11 +67,14 @@ class Profile:
         """The segments in counts, each with its start; what evaluation and lowering work on."""
         segments: list[Segment] = []
         clock_s = position = velocity = 0.0
-        for t, a, j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
-            segment = Segment(clock_s, t, position, velocity, a * self.scale_counts, j * self.scale_counts)
-            segments.append(segment)
+        scale = self.scale_counts
+        # `Segment.at` written out: a fleet's lowering and planning come here some thousand times a step.
+        for t, plain_a, plain_j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
+            a, j = plain_a * scale, plain_j * scale
+            segments.append(Segment(clock_s, t, position, velocity, a, j))
             clock_s += t
-            position, velocity, _ = segment.at(t)
+            position += t * (velocity + t * (a / 2 + t * j / 6))
+            velocity += t * (a + t * j / 2)
         return segments
 
     def at(self, time_s: float) -> Instant:
@@ -99,10 +102,10 @@ class Profile:
     def peak_velocity(self) -> float:
         """The largest speed, counts/s. It lies at a segment's ends, or where the acceleration passes zero."""
         speed = 0.0
-        for each in self.segments:
-            speed = max(speed, abs(each.velocity), abs(each.at(each.duration_s).velocity))
-            if each.jerk and 0.0 < -each.acceleration / each.jerk < each.duration_s:
-                speed = max(speed, abs(each.at(-each.acceleration / each.jerk).velocity))
+        for _, t, _, v, a, j in self.segments:
+            speed = max(speed, abs(v), abs(v + t * (a + t * j / 2)))
+            if j and 0.0 < -a / j < t:
+                speed = max(speed, abs(v - a * a / j / 2))
         return speed
 
     @property
