@@ -58,11 +58,15 @@ class Fence:
             )
 
     def latch_estop(self, latch: EstopLatch) -> bool:
-        """Latch; False when one is latched already (the first one keeps its name)."""
+        """Latch, to be kept with `keep`; False when one is latched already (the first one keeps its name)."""
         if self._remembered.now.estop is not None:
             return False
-        self._remembered.change(estop=latch)
+        self._remembered.change_at_once(estop=latch)
         return True
+
+    def keep(self) -> None:
+        """The latch is safe when this returns."""
+        self._remembered.keep()
 
     def require_event(self, event: str | None) -> None:
         """Raises `CannotDo` when another e-stop than `event` is latched (`None`: any will do)."""

@@ -30,14 +30,20 @@ class Store(Protocol):
 
 
 class Remembered:
-    """The memory at hand; a change is safe when `change` returns."""
+    """The memory at hand; a change is safe when `change` returns, one that can not wait for a disk after `keep`."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self.now = store.load()
 
     def change(self, **fields: Any) -> None:
+        self.change_at_once(**fields)
+        self.keep()
+
+    def change_at_once(self, **fields: Any) -> None:
         self.now = self.now.model_copy(update=fields)
+
+    def keep(self) -> None:
         self._store.save(self.now)
 
 

@@ -33,6 +33,8 @@ from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, 
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
+# Of the loop; by then all units of this host have written their stops. The disk comes behind: milliseconds for each.
+TURNS_TO_STOP = 2
 BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
 STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
 
@@ -122,6 +124,7 @@ class Unit:
                 continue
             if state.estop is not None and state.controller != self.controller:
                 self._fence.latch_estop(state.estop)
+                self._fence.keep()
 
     async def _live(self) -> None:
         """Reach the controller, serve it until the link breaks, and again, with growing pauses."""
@@ -307,7 +310,15 @@ class Unit:
     async def estop(self, latch: EstopLatch) -> None:
         """Latch and stop as fast as the controller can; then outputs and motors go where they are safe."""
         fresh = self._fence.latch_estop(latch)
-        await self._survive(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
+        stopping = self._spawn(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
+        for _ in range(TURNS_TO_STOP):
+            await asyncio.sleep(0)
+        if fresh:
+            try:
+                self._fence.keep()
+            except OSError as error:
+                self._log.warning(f"the e-stop's latch is not on disk: {error}", controller=self.controller)
+        await stopping
         if fresh:
             self._presenter.emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
         self._presenter.publish()
