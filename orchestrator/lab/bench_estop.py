@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.client import Job, SubmittedJob, Tutti
 from orchestrator.clock.live import raw_ns
-from orchestrator.lab.bench_fleet import measured_fleet, run_steps, until
+from orchestrator.lab.bench_fleet import Steps, measured_fleet, run_steps, until
 from orchestrator.lab.bench_spread import Noise, Spread, spread
 from orchestrator.lab.bench_truth import NothingHappened, Truth
 from orchestrator.lab.live import LiveFleet
@@ -152,8 +152,11 @@ class _Rig:
             return all(each.estop is None and each.mode == "idle" for each in (await self._tutti.status()).values())
 
         await until(released, "the e-stop is reset")
-        axes = self._live.fleet.axis_names
-        middle = dict.fromkeys(axes, MIDDLE / 4)
-        await run_steps(
-            self._tutti, [{"do": "enable", "axes": list(axes)}, {"do": "move", "to": middle, "sync": "none"}]
-        )
+        middle = dict.fromkeys(self._live.fleet.axis_names, MIDDLE / 4)
+        await run_steps(self._tutti, [{"do": "enable", "axes": ["all"]}])
+        states = await self._tutti.status()
+        # A stepper that was stopped at once does not know its place any more.
+        lost = [f"{name}.x" for name, each in states.items() if not each.axes["x"].referenced]
+        home: Steps = [{"do": "home", "axes": [axis]} for axis in lost]
+        back: dict[str, object] = {"do": "move", "to": middle, "sync": "none", "max_start_skew": "500 ms"}
+        await run_steps(self._tutti, [*home, back])
