@@ -6,8 +6,10 @@ from fractions import Fraction
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
+from adapters.store import Memory, MemoryStore
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.link.memory import MemoryLink
 from orchestrator.model.fleet import Fleet, Permit
 from orchestrator.model.state import ControllerState
 
@@ -442,3 +444,32 @@ def test_an_axis_is_there_only_when_it_has_settled() -> None:
         assert "its window is 0.01" in report.reason
 
     run_fleet(main, fleet)
+
+
+def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    order: list[str] = []
+    write, save = MemoryLink.write, MemoryStore.save
+
+    def told(link: MemoryLink, data: bytes) -> int:
+        order.append(data.decode("latin-1"))
+        return write(link, data)
+
+    def kept(store: MemoryStore, memory: Memory) -> None:
+        order.append("disk")
+        save(store, memory)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.client()
+        moving = await client.submit(TEN_S)
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        monkeypatch.setattr(MemoryLink, "write", told)
+        monkeypatch.setattr(MemoryStore, "save", kept)
+        await client.estop("a test")
+        await moving.result()
+        assert {"AB\r", "L:E\r\n"} < set(order[: order.index("disk")])
+        assert order.count("disk") == 2
+
+    run_fleet(main)
