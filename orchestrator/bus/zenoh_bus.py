@@ -33,10 +33,11 @@ QUEUE_LIMIT = 1000
 CLOSE_TIMEOUT_S = 1.0
 """For each of: putting what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
 
-_LEFT_S = 12.0
+_LEFT_S = 3.0
 _DROPPED_S = 0.1
 """A process that left its sessions while they were being closed does not end before they are, and what they held is
-dropped: the interpreter would end Zenoh's threads in the middle of that, and they the process, by SIGABRT."""
+dropped: the interpreter would end Zenoh's threads in the middle of that, and they the process, by SIGABRT. A router
+that hangs is not waited for any longer: threads that wait for it do nothing more."""
 
 _GRACE_S = 0.02
 """A request ends without replies either because nobody serves it or because the router has just died, which the

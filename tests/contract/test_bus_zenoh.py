@@ -106,6 +106,31 @@ asyncio.run(main())
     run_live(body)
 
 
+def test_processes_that_leave_in_the_middle_end_well() -> None:
+    """One in ten of them ended by SIGABRT."""
+    program = """
+import asyncio, sys
+from orchestrator.bus import zenoh_bus
+
+zenoh_bus.CLOSE_TIMEOUT_S = 0.003
+
+async def main():
+    bus = await zenoh_bus.open_bus(sys.argv[1])
+    for _ in range(300):
+        bus.put("t/x", b"x" * 100)
+    await bus.close()
+
+asyncio.run(main())
+"""
+
+    async def body(world: LiveWorld) -> None:
+        command = [sys.executable, "-c", program, world.endpoint]
+        for _ in range(8):
+            assert subprocess.run(command, timeout=LIMIT_S, check=False, capture_output=True).returncode == 0
+
+    run_live(body)
+
+
 def test_a_fault_of_a_handler_is_answered_and_reported() -> None:
     async def body(world: LiveWorld) -> None:
         a = await world.join("a")
