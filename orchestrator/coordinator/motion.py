@@ -43,7 +43,6 @@ ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
 ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
-TOO_SLOW = ("late", "no-answer")  # who has not answered in the time that a short lead leaves may have been busy
 
 
 T = TypeVar("T")
@@ -209,7 +208,9 @@ class Motion:
                     raise Refuse("late", "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
-                if refused.refusal.code not in TOO_SLOW or not moving.unloaded:
+                # Who does not answer may be busy; but a decision stands for one start alone.
+                slow = ("late",) if moving.decided else ("late", "no-answer")
+                if refused.refusal.code not in slow or not moving.unloaded:
                     raise
                 late = refused
             else:
@@ -241,6 +242,7 @@ class Motion:
         if self._throne.over:
             await self._disarm(moving)
             raise Refuse("deposed", "another coordinator has taken over")
+        moving.decided = True
         await on_state("committed", "")
         await self._go(moving)
         self._proposing.pace.released(self._clock.now_ns() - armed_ns)

@@ -48,7 +48,8 @@ class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
 
     arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
-    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun.
+    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun. decided: the journal says
+    that it goes.
     """
 
     job_id: str
@@ -68,6 +69,7 @@ class Moving:
     guard: Guard | None = None
     held_by: str | None = None
     unloaded: bool = False
+    decided: bool = False
 
     @property
     def brake_s(self) -> float:

@@ -92,7 +92,11 @@ def play(seed: int, cells: Sequence[Cell]) -> Story:
             story.violations = play.judge.violations
             story.fleet_s = clock.now_ns() / NS_PER_S
 
-    run_virtual(main)
+    try:
+        run_virtual(main)
+    except Exception as error:
+        # One of thousands must not take with it what the others have found.
+        story.violations.append(f"it can not be played to its end: {error!r}")
     return story
 
 

@@ -128,8 +128,9 @@ class Breaker:
         reigning = f"coordinator/{self.reigning}"
         match fault:
             case "estop":
-                bus = fleet.net.join("campaign-estop")
-                bus.put(fleet.keys.estop, Estop(event="e1", actor="campaign").to_json(), Priority.ESTOP)
+                event = f"e{self._clock.now_ns()}"  # a seed may have two
+                bus = fleet.net.join(f"campaign-{event}")
+                bus.put(fleet.keys.estop, Estop(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "permit-lost":
                 door, number = self._door()
                 fleet.within(door, lambda each: each.set_input(number, False))  # it is active when low

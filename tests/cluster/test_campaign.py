@@ -52,3 +52,9 @@ def test_a_seed_plays_the_same_again() -> None:
     first, again = play(17, cells), play(17, cells)
     assert first.lines == again.lines
     assert (first.hit, first.events, first.fleet) == (again.hit, again.events, again.fleet)
+
+
+def test_the_same_fault_may_befall_a_seed_twice() -> None:
+    estop = next(cell for cell in CELLS if cell.fault == "estop" and cell.stage == "arm")
+    story = play(3, [estop, estop])
+    assert not story.violations, story.tell()

@@ -37,7 +37,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
     run_fleet(main)
 
 
-def test_a_member_that_was_too_busy_to_hear_go_is_armed_again() -> None:
+def test_a_member_that_was_too_busy_to_promise_is_armed_again() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         for k in range(KEPT):
@@ -46,14 +46,14 @@ def test_a_member_that_was_too_busy_to_hear_go_is_armed_again() -> None:
 
         told = len(fleet.lines)
         running = asyncio.ensure_future(outcome(fleet, job(STEPS % (20, 3), max_start_skew="20 ms")))
-        while not any("job is committed" in line for line in fleet.lines[told:]):
+        while not any("job is armed" in line for line in fleet.lines[told:]):
             await sleep_ns(fleet.clock, NS_PER_MS // 10)
         fleet.freeze("host/local")
         await sleep_ns(fleet.clock, 130 * NS_PER_MS)
         fleet.resume("host/local")
         report = await running
         assert report.state == "done", report.reason
-        assert any("has not answered go" in line for line in fleet.lines[told:])
+        assert any("has not answered commit" in line for line in fleet.lines[told:])
         assert {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()} == {
             "gantry": 1,
             "stage": 1,
