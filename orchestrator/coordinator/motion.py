@@ -162,8 +162,7 @@ class Motion:
 
     async def _look(self, member: str) -> tuple[ControllerState, Info]:
         try:
-            state = await self._view.fresh(member)
-            info = await self._view.info(member)
+            state, info = await self._view.fresh(member), await self._view.info(member)
         except BusError as error:
             raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
         if state.mode == "offline":
