@@ -65,6 +65,10 @@ class UnitActions(Protocol):
         """Stop the controller, past everything else. follow: a step that moves is followed to its rest."""
         ...
 
+    def poke(self) -> None:
+        """Have the next poll come soon."""
+        ...
+
     def reconfigure(self, config: Controller) -> None:
         """Start anew with another configuration, as soon as the answer has left."""
         ...
@@ -159,7 +163,10 @@ class Commands:
 
     async def _go(self, request: Go) -> Reply:
         self._fence.require_no_estop()
-        return await self._parts.member.go(request)
+        reply = await self._parts.member.go(request)
+        # It is polled as one that moves from here on: that it has started must not be seen a slow poll later.
+        self._unit.poke()
+        return reply
 
     async def _stop(self, request: Stop) -> Reply:
         reason = request.reason or f"stopped by {request.actor}"

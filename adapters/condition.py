@@ -15,8 +15,8 @@ class Condition:
     """reading: the last poll, None while the controller can not be reached. referenced: by axis. homing: axes that
     look for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not
     open yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last
-    told to stop. restarts: of the controller,
-    as far as polls have shown them."""
+    told to stop; stop_unseen: it has not been seen at rest since; begun_by_ns: when what was loaded then would have
+    begun. restarts: of the controller, as far as polls have shown them."""
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
@@ -28,6 +28,8 @@ class Condition:
     faults: list[Fault] = field(default_factory=lambda: [STARTING])
     stopping_until_ns: int = 0
     stopped_ns: int = 0
+    stop_unseen: bool = False
+    begun_by_ns: int = 0
     restarts: int = 0
 
     def __post_init__(self) -> None:

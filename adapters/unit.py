@@ -35,6 +35,7 @@ BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
 # Of the loop; by then all units of this host have written their stops. The disk comes behind: milliseconds for each.
 TURNS_TO_STOP = 2
+BEGUN_NS = 300 * NS_PER_MS  # after T0: by then it can be seen whether somebody moves
 BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
 STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
 
@@ -181,8 +182,10 @@ class Unit:
 
     async def _next_poll(self) -> None:
         """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
-        rates = self._config.state
-        hz = rates.moving_hz if self._presenter.mode() in ("moving", "jogging", "homing", "stopping") else rates.idle_hz
+        rates, ticket = self._config.state, self._member.ticket
+        about_to_move = ticket is not None and ticket.phase is Phase.RELEASED
+        moves = about_to_move or self._presenter.mode() in ("moving", "jogging", "homing", "stopping")
+        hz = rates.moving_hz if moves else rates.idle_hz
         timer = asyncio.get_running_loop().call_later(1.0 / hz, self._poke.set)
         try:
             await self._poke.wait()
@@ -253,6 +256,22 @@ class Unit:
         trouble = self._trouble_in_motion(before, reading)
         if trouble is not None:
             self._spawn(self._member.fail(trouble))
+        self._see_to_the_stop(reading)
+
+    def _see_to_the_stop(self, reading: Reading) -> None:
+        """Told to stop is not stopped: on a line that was broken for a moment it was told in vain. Who still moves when
+        it should long have come to rest, and for nobody, is told again."""
+        condition = self._condition
+        if not condition.stop_unseen or reading.at_ns < condition.stopped_ns:
+            return
+        if not any(axis.moving for axis in reading.axes.values()):
+            # Who was loaded when the stop was lost begins in spite of it.
+            condition.stop_unseen = reading.at_ns < condition.begun_by_ns
+            return
+        owned = self._member.ticket is not None or bool(condition.jogging | condition.homing)
+        if not owned and reading.at_ns > condition.stopping_until_ns:
+            self._log.warning("it moves although it was told to stop; told again", controller=self.controller)
+            self._spawn(self.stop(False, "it was told to stop before"))
 
     def _trouble_in_motion(self, before: Reading | None, reading: Reading) -> str | None:
         """What this poll shows that a moving step can not go on with; one axis in trouble is trouble for all."""
@@ -298,6 +317,10 @@ class Unit:
         condition = self._condition
         condition.stopped_ns = self._clock.now_ns()
         condition.stopping_until_ns = condition.stopped_ns + self._driver.capabilities.costs.stop_ns
+        condition.stop_unseen = True
+        ticket = self._member.ticket
+        if ticket is not None:
+            condition.begun_by_ns = ticket.t0_host_ns + BEGUN_NS
         self._jogging.ended_all(reason)
         try:
             await self._member.stop(abort, reason, follow)

@@ -8,7 +8,7 @@ import asyncio
 import os
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
@@ -64,7 +64,7 @@ class _Round(NamedTuple):
 
 def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
     """`count` SMC-4000 of four axes."""
-    controllers = {}
+    controllers: dict[str, dict[str, Any]] = {}
     for k in range(count):
         plain = smc4000(k)
         axis = plain["axes"]["x"]

@@ -148,6 +148,27 @@ def test_a_fleet_that_is_polled_seldom_is_not_taken_for_dead() -> None:
     run_fleet(main, changed(chain_fleet(), **dict.fromkeys(("feeder", "turner", "outlet", "gantry"), rates)))
 
 
+@pytest.mark.parametrize("after_s", [0.0, 1.0])
+def test_a_stop_that_a_broken_line_has_swallowed_is_told_again(after_s: float) -> None:
+    """Just before the start, too, which then comes about."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.client()
+        job_id = await client.submit(GANTRY)
+        await fleet.until(lambda states: states["gantry"].mode == "moving")
+        await asyncio.sleep(after_s)
+        wire = fleet.wires["gantry"]
+        wire.to_far = lambda data: b"" if data.startswith((b"ST", b"HX")) else data
+        await client.stop()
+        wire.to_far = None
+        assert (await client.wait(job_id)).state == "aborted"
+        await asyncio.sleep(4.0)  # of ten
+        assert fleet.controllers["gantry"].motions[-1].end_ns is not None
+
+    run_fleet(main)
+
+
 def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
