@@ -188,7 +188,7 @@ def _one(steps: int, duration_s: float, ramp_s: float, limits: Bounds) -> Ramp |
 def _candidates(steps: int, duration_s: float, ramp_s: float, limits: Bounds, tried: int) -> Iterator[Ramp]:
     """Two of the three numbers are chosen, and the third is what the duration wants, rounded both ways."""
     mean = steps / duration_s
-    for t in {floor(mean), ceil(mean)}:
+    for t in {max(1, floor(mean)), ceil(mean)}:
         yield Ramp(steps, max(t, limits.start_min), t, 1)
     # The slowest and the quickest that there is.
     yield Ramp(steps, limits.start_min, TOP_MIN, 1)

@@ -199,3 +199,10 @@ def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
 def test_what_the_fleet_file_says_wrong_is_named(more: dict[str, Any], place: str) -> None:
     with pytest.raises(ValueError, match=place):
         MAKE.check(config(**more))
+
+
+def test_a_move_of_less_than_a_step_a_second_is_made_as_slowly_as_the_unit_can() -> None:
+    limits = Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
+    shape = fit(2, 30.0, 0.1, limits, 0.05)
+    assert shape is not None
+    assert all(allowed(ramp, limits) for ramp in shape.parts)
