@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.common import console, fail, json_option, print_json, run
+from orchestrator.cli.common import console, fail, json_option, print_json, processes_option, run
 
 
 @click.command(epilog="Example: tutti bench clock --trials 1000")
@@ -47,11 +47,14 @@ def clock(as_json: bool, trials: int, seed: int) -> None:
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Distributions of the start skews, a PNG."
 )
-def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: int | None, plot: Path | None) -> None:
+@processes_option
+def sync(
+    as_json: bool, trials: int, seed: int, only: str, history: int, live: int | None, plot: Path | None, processes: int
+) -> None:
     """Start simulated fleets together, by the old ways and by Tutti's, and measure how well; in virtual time.
 
     Truth comes from the simulators. `misses` counts verdicts that do not hold it. Rows that are slow to simulate have
-    fewer trials. A thousand trials take an hour or so; a hundred, with --history 60, some minutes.
+    fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some minutes.
     """
     if live is not None:
         _live(live, as_json)
@@ -61,7 +64,12 @@ def sync(as_json: bool, trials: int, seed: int, only: str, history: int, live: i
     from orchestrator.monitor.tables import plain_table
 
     rows, starts = bench_sync(
-        trials, seed, only, history, lambda row: None if as_json else console.print(f"[dim]{row.fleet}: {row.way}[/]")
+        trials,
+        seed,
+        only,
+        history,
+        processes,
+        lambda row: None if as_json else console.print(f"[dim]{row.fleet}: {row.way}[/]"),
     )
     if plot is not None:
         plot_skews(starts, plot)

@@ -36,6 +36,9 @@ def fleet_options(command: F) -> F:
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+processes_option = click.option(
+    "--processes", default=1, show_default=True, type=click.IntRange(1, 256), help="To play in at a time."
+)
 
 
 def print_json(value: Any) -> None:

@@ -5,7 +5,7 @@ is run, there and back, after pauses of random length, so that every start meets
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from orchestrator.lab.sync_baselines import BASELINES, Baseline
 from orchestrator.lab.sync_bounds import Bound, drifting_ticks, latencies, ticks
 from orchestrator.lab.sync_fleets import PP_SPREAD_MS, sync_fleet
 from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.lab.workers import spread
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
 
@@ -164,6 +165,7 @@ def bench_sync(
     seed: int = 1,
     only: str = "",
     history_s: int = HISTORY_S,
+    processes: int = 1,
     told: Callable[[SyncFigures], None] = lambda _: None,
 ) -> tuple[list[SyncFigures], dict[str, list[float]]]:
     """All rows whose fleet or way holds `only`, the old ways first; with the start skews of each, ms, for plots."""
@@ -178,9 +180,10 @@ def bench_sync(
     for baseline in BASELINES:
         if only in f"{baseline.fleet}: {baseline.way}":
             take(*_baseline(baseline, trials, seed))
-    for case in CASES:
+    for row, case in enumerate(CASES):
         if only in f"{case.fleet}: {case.name}":
-            take(*_row(case, max(2, round(trials * case.trials)), seed, history_s))
+            worlds = list(_worlds(row, max(2, round(trials * case.trials)), seed, history_s))
+            take(*_figures(case, [trial for found in spread(_play, worlds, processes) for trial in found]))
     return rows, starts
 
 
@@ -194,13 +197,26 @@ def _baseline(baseline: Baseline, trials: int, seed: int) -> tuple[SyncFigures, 
     return figures, skews_ms
 
 
-def _row(case: Case, trials: int, seed: int, history_s: int) -> tuple[SyncFigures, list[float]]:
-    found: list[Trial] = []
-    world = 0
-    while len(found) < trials:
-        steps = min(case.steps_a_world, trials - len(found))
-        found += run_virtual(lambda clock, w=world, n=steps: _world(clock, case, seed * 1000 + w, n, history_s))
-        world += 1
+class World(NamedTuple):
+    """Some steps of a row of CASES, after history_s of polls."""
+
+    row: int
+    seed: int
+    steps: int
+    history_s: int
+
+
+def _worlds(row: int, trials: int, seed: int, history_s: int) -> Iterator[World]:
+    a_world = CASES[row].steps_a_world
+    for number, begun in enumerate(range(0, trials, a_world)):
+        yield World(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
+
+
+def _play(world: World) -> list[Trial]:
+    return run_virtual(lambda clock: _steps(clock, world))
+
+
+def _figures(case: Case, found: list[Trial]) -> tuple[SyncFigures, list[float]]:
     starts = [each.start_ns / 1e6 for each in found]
     figures = SyncFigures(
         fleet=case.fleet,
@@ -225,15 +241,16 @@ def _row(case: Case, trials: int, seed: int, history_s: int) -> tuple[SyncFigure
     return figures._replace(met=met), starts
 
 
-async def _world(clock: VirtualClock, case: Case, seed: int, steps: int, history_s: int) -> list[Trial]:
-    draw = Random(f"{case.name} {case.fleet} {seed}")
-    fleet = VirtualFleet(sync_fleet(case.fleet, seed, **case.limits), clock, seed, guardian=False)
+async def _steps(clock: VirtualClock, world: World) -> list[Trial]:
+    case = CASES[world.row]
+    draw = Random(f"{case.name} {case.fleet} {world.seed}")
+    fleet = VirtualFleet(sync_fleet(case.fleet, world.seed, **case.limits), clock, world.seed, guardian=False)
     await fleet.start()
     names = list(fleet.fleet.controllers)
     await _run(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
-    await sleep_ns(clock, history_s * NS_PER_S)
+    await sleep_ns(clock, world.history_s * NS_PER_S)
     found: list[Trial] = []
-    for k in range(steps):
+    for k in range(world.steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
         targets = {
             f"{name}.x": (limits.velocity * (0.2 + 0.5 * case.cruise_s)) if k % 2 == 0 else 0.0

@@ -8,6 +8,7 @@ from orchestrator.lab.campaign import Cell, Story, play
 from orchestrator.lab.campaign_faults import FAULTS
 from orchestrator.lab.campaign_fleets import MAKES
 from orchestrator.lab.campaign_witness import STAGES
+from orchestrator.lab.workers import spread
 
 CELLS = [Cell(stage, fault, make) for fault in FAULTS for make in MAKES for stage in STAGES]
 
@@ -63,11 +64,15 @@ class Campaign:
         return min(self.cells[cell] for cell in CELLS)
 
 
-def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _: None) -> Campaign:
-    """Play seeds one after the other; `told` hears of each."""
+def play_seed(seed: int) -> Story:
+    """Play a seed as the campaign does."""
+    return play(seed, cells_of(seed))
+
+
+def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _: None, processes: int = 1) -> Campaign:
+    """Play seeds, as many at a time as there are processes; `told` hears of each, in their order."""
     found = Campaign()
-    for seed in seeds:
-        story = play(seed, cells_of(seed))
+    for story in spread(play_seed, seeds, processes):
         found.seeds += 1
         found.cells.update(story.befallen)
         found.controllers.append(len(story.fleet.controllers))
@@ -76,6 +81,6 @@ def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _:
         found.fleet_s.append(story.fleet_s)
         found.controller_s += story.fleet_s * len(story.fleet.controllers)
         if story.violations:
-            found.violations[seed] = story.violations
+            found.violations[story.seed] = story.violations
         told(story)
     return found
