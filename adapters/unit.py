@@ -138,7 +138,7 @@ class Unit:
                 self._condition.identity = await self._driver.connect()
                 await self._driver.configure()
                 await self._referencing.load_limits(list(self._config.axes))
-                pause_ns = BACKOFF_FIRST_NS
+                pause_ns = 0
                 await self._serve()
             except LinkRefused as error:
                 self._offline(Fault(code="link-refused", text=str(error), remedy="check power, cable and address"))
@@ -150,10 +150,12 @@ class Unit:
                 self._offline(Fault(code=error.refusal.code, text=error.refusal.text, remedy=error.refusal.remedy))
             heartbeat.cancel()
             await self._driver.close()
-            heartbeat = self._spawn(self._beat())
-            await sleep_ns(self._clock, pause_ns)
-            heartbeat.cancel()
-            pause_ns = min(2 * pause_ns, BACKOFF_LONGEST_NS)
+            if pause_ns or not self._stop_owed:
+                # What was loaded when the link broke may be about to begin: its stop is tried at once.
+                heartbeat = self._spawn(self._beat())
+                await sleep_ns(self._clock, max(pause_ns, BACKOFF_FIRST_NS))
+                heartbeat.cancel()
+            pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
     async def _pay_owed_stop(self) -> None:
         """The link broke while a step was loaded, or before a stop could be sent: the controller may be moving.

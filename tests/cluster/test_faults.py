@@ -169,6 +169,25 @@ def test_a_stop_that_a_broken_line_has_swallowed_is_told_again(after_s: float) -
     run_fleet(main)
 
 
+def test_who_was_told_to_go_is_stopped_before_it_begins_when_its_link_is_closed() -> None:
+    """The link is opened again at once, and not after a pause."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.client()
+        before = len(fleet.controllers["gantry"].motions)
+        job_id = await client.submit(GANTRY)
+        await running(fleet, job_id)
+        await asyncio.sleep(0.1)  # of nearly three tenths
+        for link in list(fleet.wires["gantry"].links):
+            link.hang_up()
+        assert (await client.wait(job_id)).state == "failed"
+        await fleet.until(lambda states: states["gantry"].mode == "idle")
+        assert len(fleet.controllers["gantry"].motions) == before
+
+    run_fleet(main)
+
+
 def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
