@@ -181,6 +181,9 @@ class JobRun:
         finally:
             self._over = True
             beat.cancel()
+        if outcome.state != "done" and self._holds_axes():
+            # A stop takes its time to arrive, and its ramp as well: nobody else has the axes meanwhile.
+            await self._until_at_rest()
         await self._disable_by_policy()
         await self._works.leases.give_back(self.row.id)
         return outcome
@@ -352,7 +355,7 @@ class JobRun:
     async def _disable_by_policy(self) -> None:
         """Disable what is enabled for jobs only. What still ramps down stays on, and that is said."""
         works = self._works
-        if not any(held.holder == self.row.id for held in works.leases.held):
+        if not self._holds_axes():
             return
         per_job = [axis for axis in self._moved() if works.view.fleet.axis(axis).enable == "per_job"]
         if per_job:
@@ -362,8 +365,8 @@ class JobRun:
                 works.log.warning(f"left enabled after the job: {error.refusal.text}", job=self.row.id)
 
     async def _until_at_rest(self) -> None:
-        """Wait until what was stopped before, with an earlier job or reign, has come to the end of its ramp. Who does
-        not answer, or takes longer than it has declared, is not waited for: planning refuses it."""
+        """Wait until what was stopped, with this job or an earlier reign or hand, has come to the end of its ramp. Who
+        does not answer, or takes longer than it has declared, is not waited for: planning refuses it."""
         await asyncio.gather(*(self._rests(member) for member in self.members))
 
     async def _rests(self, member: str) -> None:
@@ -376,6 +379,9 @@ class JobRun:
                 if state.mode not in ("moving", "stopping") and not any(each.moving for each in state.axes.values()):
                     return
                 await sleep_ns(works.clock, REST_LOOK_NS)
+
+    def _holds_axes(self) -> bool:
+        return any(held.holder == self.row.id for held in self._works.leases.held)
 
     def _is_enabled(self, axis: str) -> bool:
         controller, _, name = axis.partition(".")

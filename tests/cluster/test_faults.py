@@ -11,12 +11,13 @@ from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run
 
 from adapters.contract import CannotDo
 from adapters.member import Member
+from orchestrator.bus.base import Sample
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply
-from orchestrator.model.report import JobState
+from orchestrator.model.report import JobState, Lease
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
@@ -102,10 +103,17 @@ def test_others_stop_when_an_adapter_dies_and_is_back_before_anybody_misses_it()
     run_fleet(main, two_hosts())
 
 
-def test_a_job_waits_for_the_ramp_of_the_one_before() -> None:
+def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_then() -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
+        rested: dict[str, bool] = {}
+
+        def look(sample: Sample) -> None:
+            holder = Lease.model_validate_json(sample.payload).holder
+            rested.setdefault(holder or "", fleet.controllers["gantry"].at_rest())
+
+        await client.bus.subscribe(fleet.keys.lease("gantry"), look)
         first = await client.submit(GANTRY)
         second = await client.submit(BACK)
         await asyncio.sleep(3.0)
@@ -113,6 +121,7 @@ def test_a_job_waits_for_the_ramp_of_the_one_before() -> None:
         assert (await client.wait(first)).state == "cancelled"
         report = await client.wait(second)
         assert report.state == "done", report.reason
+        assert rested[second]
 
     run_fleet(main)
 
