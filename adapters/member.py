@@ -82,6 +82,7 @@ class Member:
         self._spawn = spawn
         self._lowering = lowering
         self._turn = asyncio.Lock()
+        self._loading = asyncio.Lock()
         self._interruptions = 0
         self._followed = 0
         self.ticket: Ticket | None = None
@@ -132,7 +133,8 @@ class Member:
                 raise CannotDo("stopped", "a stop came before arming", "")
             ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, tuple(request.profiles), scale)
             try:
-                stages = await self._driver.arm(lowered, t0_ns, mapping)
+                async with self._loading:
+                    stages = await self._driver.arm(lowered, t0_ns, mapping)
             except (CannotDo, DriverFault):
                 await self._driver.disarm()
                 raise
@@ -240,6 +242,16 @@ class Member:
         ticket, self.ticket = self.ticket, None
         if ticket is not None:
             self._emit("failed", reason, ticket)
+
+    @property
+    def loading(self) -> bool:
+        """Whether a step is being loaded at this moment, though the link may have been given up meanwhile."""
+        return self._loading.locked()
+
+    async def loaded(self) -> None:
+        """Until nothing is being loaded any more: on a line that others have open, that goes on without a link."""
+        async with self._loading:
+            pass
 
     def quiet_until_ns(self) -> int | None:
         """Until when nothing may be sent to the controller, when that time has begun; None otherwise."""

@@ -162,6 +162,7 @@ class Unit:
 
         It is stopped before anything else is asked of it, as a guardian would.
         """
+        await self._member.loaded()
         if not await self._driver.stop_first():
             link = await self._seat.open_link()
             try:
@@ -302,7 +303,8 @@ class Unit:
         unseen = before is not None and (
             before.at_ns < condition.stopped_ns or any(axis.moving for axis in before.axes.values())
         )
-        loaded = member.ticket is not None or member.following
+        # A move that waits for a line does so before its member is armed.
+        loaded = member.ticket is not None or member.following or member.loading
         self._stop_owed = self._stop_owed or unseen or loaded or bool(condition.jogging | condition.homing)
         condition.homing.clear()
         self._jogging.ended_all("the link is lost")

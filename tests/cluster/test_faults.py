@@ -1,5 +1,7 @@
 """What the campaign has found, each by itself: faults that once stopped too little, too late, or too much."""
 
+# pyright: reportPrivateUsage=false
+
 import asyncio
 from typing import Any
 
@@ -9,8 +11,9 @@ from cluster.test_chain import PREPARE as CHAIN_PREPARE
 from cluster.test_chain import chain_fleet
 from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
-from adapters.contract import CannotDo
+from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.member import Member
+from adapters.smc30.driver import SmcDriver
 from orchestrator.bus.base import Sample
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.lab import sync_fleets
@@ -195,6 +198,34 @@ def test_who_was_told_to_go_is_stopped_before_it_begins_when_its_link_is_closed(
         assert len(fleet.controllers["gantry"].motions) == before
 
     run_fleet(main)
+
+
+def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waits for a wired line by then, and its port was kept open by the other unit."""
+    poll = SmcDriver.poll
+    broken: list[int] = []
+
+    async def polled(driver: SmcDriver) -> Reading:
+        if driver._address in broken and driver._connected().loading.locked():
+            broken.clear()
+            raise DriverFault("two-answers", "more answers than questions", "")
+        return await poll(driver)
+
+    monkeypatch.setattr(SmcDriver, "poll", polled)
+    units = {name: {**sync_fleets.smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()}
+    lined = sync_fleets.wired({"a1": sync_fleets.smc4000(0), **units})
+
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet)
+        client = fleet.client()
+        job_id = await client.submit(job("[{do: move, to: {d1.x: 30, d2.x: 30}, start: line, speed: 0.2}]"))
+        await reached(fleet, job_id, "arming")
+        broken.append(2)
+        assert (await client.wait(job_id)).state == "failed"
+        await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()), limit_s=3.0)
+        assert not broken and all(unit.at_rest() for unit in fleet.controllers.values())
+
+    run_fleet(main, Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "lined", **lined}))
 
 
 def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() -> None:
