@@ -89,18 +89,24 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("read_ns", "moving", "following", "owed"),
-    [(900, False, False, True), (1001, True, False, True), (1001, False, True, True), (1001, False, False, False)],
+    ("read_ns", "moving", "following", "loading", "owed"),
+    [
+        (900, False, False, False, True),
+        (1001, True, False, False, True),
+        (1001, False, True, False, True),
+        (1001, False, False, True, True),
+        (1001, False, False, False, False),
+    ],
 )
 def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did(
-    read_ns: int, moving: bool, following: bool, owed: bool
+    read_ns: int, moving: bool, following: bool, loading: bool, owed: bool
 ) -> None:
     """What it was told may have been lost with the link."""
     reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
     unit = SimpleNamespace(
         controller="c",
         _condition=Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS),
-        _member=SimpleNamespace(ticket=None, following=following, lost=nothing),
+        _member=SimpleNamespace(ticket=None, following=following, loading=loading, lost=nothing),
         _jogging=SimpleNamespace(ended_all=nothing),
         _presenter=SimpleNamespace(emit=nothing),
         _log=SimpleNamespace(warning=nothing),
