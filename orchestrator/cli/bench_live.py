@@ -32,7 +32,7 @@ _WORDS = {
     "controllers": "controllers",
     "poll_ms": "read every, ms",
     "stopped": "input, to the last axis",
-    "first": "input, to the first axis",
+    "first": "the same, to the first axis",
     "last": "put, to the last axis",
     "uploading": "the same, others being armed",
     "shell": "tutti estop, to the last axis",
@@ -89,7 +89,7 @@ def estop(as_json: bool, rounds: int) -> None:
     """Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
 
     From its put to the last axis slowing down; in every other round the controllers that do not move are just being
-    armed. A thousand rounds take an hour or so.
+    armed. The serial ones take part in every ninth round. A thousand rounds take an hour or so.
     """
     from orchestrator.lab.bench_estop import bench_estop
 
