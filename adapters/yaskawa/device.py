@@ -66,7 +66,7 @@ class Device:
             self._stops = SharedStops(session)
             await session.tell("EO 0")
         else:
-            self._stops = StopHandle(await self._open_link())
+            self._stops = StopHandle(await self._open_link(), self._options.timeout_s)
         # Messages of programs go to the serial port, not between our replies (L3556).
         await session.tell("CFS")
         revision = " ".join(await session.ask_all(REVISION))
@@ -226,12 +226,18 @@ class Device:
         if self._stops_given[index] != since:
             raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
 
+    async def stops_carried_out(self) -> None:
+        """Until no stop is under way: it would halt what begins now. Raises `DriverFault`, `LinkClosed`."""
+        if self._stops is not None:
+            await self._stops.carried_out()
+
     async def begin(self, axis: str, index: int, since: int) -> None:
         """Begin what is loaded for one axis (BG, L3064), unless a stop has come since `stops_given` was `since`.
 
         Commands of two handles may overtake each other in the controller, so a stop that came while BG was under way
         is given again behind it. Raises `CannotDo`; then the axis stands still, or stops.
         """
+        await self.stops_carried_out()
         sent = False
 
         def still() -> None:

@@ -58,6 +58,7 @@ class Start:
         if mapping.ticks(began_ns) > ticks - STILL_TO_COME:
             raise CannotDo("late", "T0 is too near to arm", "give more lead time")
         loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
+        await self._device.stops_carried_out()
         self._require_ready(await self._device.record(), lowered)
         session, waits, drives = self._device.session, lowered.waits, lowered.drives
         checked_ns = self._clock.now_ns()

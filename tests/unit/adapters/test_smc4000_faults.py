@@ -8,7 +8,7 @@ from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoi
 from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import LineDrive, StartWay
 
 
 async def armed(world: World, lead_s: float = 1.0) -> int:
@@ -340,3 +340,25 @@ def test_refusals_before_anything_moves():
         assert refusal.value.refusal.code == "other-start"
 
     run(main)
+
+
+def test_a_stop_that_is_still_to_be_carried_out_halts_no_step_that_is_loaded_after_it():
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, controller = world.driver, world.controller
+        edges: list[tuple[int, bool]] = []
+        controller.on_output(lambda number, on: edges.append((number, on)))
+        way = StartWay(drive=LineDrive(output="start", hold_ns=50 * NS_PER_MS))
+        for abort in (False, True):
+            edges.clear()
+            for _ in range(4):  # of several people: each command takes its half millisecond
+                await driver.stop(abort)
+            await driver.disarm()
+            t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
+            await driver.arm(driver.lower({}, way, driver.mapping()), t0_ns, driver.mapping())
+            await driver.verify()
+            await driver.go()
+            await sleep_until_ns(world.clock, t0_ns + 200 * NS_PER_MS)
+            assert edges == [(1, True), (1, False)]
+
+    run(main, fleet=FLEET | {"outputs": {"start": {"number": 1}}})
