@@ -20,6 +20,7 @@ from orchestrator.link.base import LinkClosed, OpenLink
 
 THREADS = 4  # L3405
 STOP_LEAVES_NS = 50 * NS_PER_MS  # for a stop's bytes to be sent before the port may be closed
+AROUND_LISTED = 6  # characters of a listed line beside its text: number, blank, CR LF
 LISTING_CHARACTERS = 8000  # a program may be so long; a controller need not send it as it reads it
 STOPPING_CODES = (2, 3, 4)  # of SC: by a limit or ST, while it still decelerates (L11427-11493)
 
@@ -94,18 +95,17 @@ class SerialDevice(Device):
         session, chained = self.session, self._unit is not None
         wanted = smc2000_program.program(self._axes, chained, self._inputs, self._outputs)
         await self._unload_ours()
-        if await self._listing() != list(wanted):
+        if not await self._holds(wanted):
             await self._require_no_other()
             try:
                 await session.download(wanted)
-                held = await self._listing()
             except Refused as refusal:
                 raise DriverFault(
                     "program-refused",
                     f"the controller does not take its program: {refusal}",
                     "is its program memory locked (LC)?",
                 ) from None
-            if held != list(wanted):
+            if not await self._holds(wanted):
                 raise DriverFault(
                     "program-differs", "the program read back is not the one sent", "check the cable; it is tried again"
                 )
@@ -125,9 +125,29 @@ class SerialDevice(Device):
     async def _unload_ours(self) -> None:
         """Ours may still wait for a start that nobody will release any more: its first line tells that it is ours, long
         before all of it is read."""
-        with suppress(Refused):
-            if any(smc2000_program.HEADING in line for line in await self.session.ask_all("LS 0,0")):
-                await self.unload()
+        if any(smc2000_program.HEADING in line for line in await self._lines(0, 0)):
+            await self.unload()
+
+    async def _holds(self, wanted: tuple[str, ...]) -> bool:
+        """Whether `wanted` is the controller's program."""
+        if self._unit is None:
+            return await self._listing() == list(wanted)
+        at = 0
+        for part in self.session.parts(wanted):
+            # A controller need not send it as it reads it.
+            characters = sum(len(line) + AROUND_LISTED for line in part)
+            if await self._lines(at, at + len(part) - 1, characters) != list(part):
+                return False
+            at += len(part)
+        return not await self._lines(at, at)
+
+    async def _lines(self, first: int, last: int, characters: int = 0) -> list[str]:
+        """Lines of the program by their numbers (LS, L10135); none where it has none, or does not tell them."""
+        try:
+            listed = await self.session.ask_all(f"LS {first},{last}", characters)
+        except Refused:
+            return []
+        return [line.partition(" ")[2].rstrip() for line in listed]
 
     async def _listing(self) -> list[str]:
         try:

@@ -33,6 +33,7 @@ BEGINNINGS = ("BG", "XQ")  # what must not be said twice
 _REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
 _MARK = 0x80
 _END_OF_DATA = "\x1a"
+_PART_CHARACTERS = 240  # of a program at once: other units of a chain wait an eighth of a second for their turn
 _ELEMENTS_OF_LINE = 10  # at most 70 characters
 
 
@@ -114,14 +115,30 @@ class SerialSession(Session):
         self._line.shout(self._link, self._unit, commands)
 
     async def download(self, lines: tuple[str, ...]) -> None:
-        """Replace the program (DL, L8203), line by line, so that a stop never waits behind more than one."""
+        """Replace the program (DL, L8203), line by line, so that a stop never waits behind more than one. The units of
+        a chain get it in parts, each behind what is there already (DL #, L8219)."""
+        for number, part in enumerate(self.parts(lines)):
+            await self._download("DL #" if number else "DL", part)
+
+    def parts(self, lines: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """Lines of a program, in as many parts as other units of a chain are to have their turns between."""
+        if self._unit is None:
+            return [lines]
+        parts: list[tuple[str, ...]] = [()]
+        for line in lines:
+            if sum(map(len, (*parts[-1], line))) > _PART_CHARACTERS:
+                parts.append(())
+            parts[-1] += (line,)
+        return parts
+
+    async def _download(self, command: str, lines: tuple[str, ...]) -> None:
         line = self._line
         async with Turn(line):
             await self._turn_to_unit()
             try:
                 line.in_step, self._settled, line.loading = False, False, True
-                await self._write_slowly("DL")
-                await self._quiet_for(_REFUSED_NS + self._hold_ns, "DL")
+                await self._write_slowly(command)
+                await self._quiet_for(_REFUSED_NS + self._hold_ns, command)
                 for text in lines:
                     stops = line.stops
                     await self._write_slowly(text)
