@@ -133,10 +133,12 @@ class JogMove:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A host instant known as an interval, ends included."""
+    """A host instant known as an interval, ends included. seen: the controller has shown that it came; else that is
+    taken from its promise, and only the end will tell."""
 
     earliest_ns: int
     latest_ns: int
+    seen: bool = True
 
 
 @dataclass(frozen=True, slots=True)

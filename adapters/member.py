@@ -301,7 +301,8 @@ class Member:
                 return
             moving = self.ticket = replace(ticket, phase=Phase.MOVING)
             evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
-            self._emit("started", "started", moving, evidence)
+            unseen = {axis for axis, span in started.items() if not span.seen}
+            self._emit("started", "started", moving, _without(evidence, unseen))
             outcome = await self._driver.outcome()
             # Who hears of the end plans the next step from the state: it must be that after the move.
             settled = await self._settle(ticket.axes if outcome.state == "done" else ())
@@ -325,11 +326,17 @@ class Member:
                     end=_interval(span, ticket.scale),
                     settled_s=settled.settled_s.get(axis),
                 )
+        if outcome.state != "done":
+            evidence = _without(evidence, unseen)
         kind = "failed" if settled.reason else _KIND_OF_END[outcome.state]
         self._emit(kind, settled.reason or outcome.reason or kind, moving, evidence)
 
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
+
+
+def _without(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
+    return {axis: each for axis, each in evidence.items() if axis not in axes}
 
 
 def _interval(span: Span, scale: FleetScale) -> Interval:

@@ -244,13 +244,12 @@ class Mover:
             )
 
     async def _started_by_line(self, move: Move) -> Span:
-        """By the line's window. The unit itself shows only that it is not ready, waiting or moving; where it can be
-        asked for its position meanwhile, that it has left its place."""
+        """By the line's window. The unit itself shows only that it is not ready: it may still be waiting."""
         earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
         await self._sleep_until(move, latest_ns)
         now = await self._unit.status()
         if now.busy or move.stopped_ns is not None or await self._unit.position() == move.lowered.target:
-            return Span(earliest_ns, latest_ns)
+            return Span(earliest_ns, latest_ns, seen=not now.busy and move.stopped_ns is None)
         raise DriverFault(
             "not-started",
             f"axis {move.lowered.axis} does not wait any more, and stands at {await self._unit.position()}",

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import pytest
 
@@ -62,17 +62,18 @@ class Scripted:
         self.told.append("outcome")
         return await asyncio.shield(self.rested)
 
-    def begins(self) -> None:
-        self.begun.set_result({"x": Span(T0_NS, T0_NS)})
+    def begins(self, seen: bool = True) -> None:
+        self.begun.set_result({"x": Span(T0_NS, T0_NS, seen)})
 
 
 class Desk:
-    """A member of a step, and the driver below it. said: its events."""
+    """A member of a step, and the driver below it. said: its events; claimed: axes whose start they tell."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
         self.driver = Scripted()
         self.said: list[str] = []
+        self.claimed: dict[str, set[str]] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self.member = Member(
             "c",
@@ -86,8 +87,9 @@ class Desk:
             lowering=asyncio.Lock(),
         )
 
-    def _emit(self, kind: EventKind, text: str, ticket: Ticket, evidence: object = None) -> None:
+    def _emit(self, kind: EventKind, text: str, ticket: Ticket, evidence: Mapping[str, object] | None = None) -> None:
         self.said.append(kind)
+        self.claimed[kind] = set(evidence or ())
 
     async def _settle(self, _: object) -> Settled:
         return Settled()
@@ -195,3 +197,20 @@ def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> No
         assert desk.driver.told == ["arm", "verify", "go", "stop", "arm"]
 
     run(body)
+
+
+@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize(("state", "kind"), [("done", "done"), ("fault", "failed")])
+def test_a_start_that_nobody_has_seen_is_claimed_only_once_the_move_is_done(
+    state: Literal["done", "fault"], kind: str, seen: bool
+) -> None:
+    async def main(desk: Desk) -> None:
+        await desk.go()
+        desk.driver.begins(seen)
+        await desk.later()
+        desk.driver.rested.set_result(Outcome(state, {"x": Span(NEXT_T0_NS, NEXT_T0_NS)}))
+        await desk.later()
+        assert desk.claimed["started"] == ({"x"} if seen else set())
+        assert desk.claimed[kind] == ({"x"} if seen or state == "done" else set())
+
+    run(main)

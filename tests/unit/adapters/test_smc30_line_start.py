@@ -110,7 +110,7 @@ def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
         await world.arm(driver, 6000, wait())
         await driver.verify()
         await driver.go()
-        await driver.started()
+        assert not (await driver.started())["x"].seen
         outcome = await driver.outcome()
         assert outcome.state == "fault"
         assert "go" in outcome.reason
