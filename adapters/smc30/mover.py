@@ -218,9 +218,8 @@ class Mover:
         if reply is not None and reply.text == "Y":
             latest_ns = move.answered_ns = reply.at_ns - session.line.wire_ns(reply.characters)
         elif move.stopped_ns is not None or (await self._unit.status()).busy:
-            # Its answer was lost, but it is at it.
-            latest_ns = at_unit_ns + (self._options.decode_us + self._options.decode_spread_us) * NS_PER_US
-            latest_ns += self._options.wire_jitter_us * NS_PER_US
+            # Its answer is lost or late, but it is at it; the line may have been as late as the answer.
+            latest_ns = self._clock.now_ns()
         else:
             move.running = False
             said = "nothing" if reply is None else "a garbled line" if reply.text is None else repr(reply.text)

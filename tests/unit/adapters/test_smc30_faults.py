@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Mapping
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -537,13 +538,16 @@ def test_a_starting_line_that_is_lost_is_known_at_once() -> None:
     run(main)
 
 
-def test_an_answer_to_the_starting_line_that_is_lost_stops_nothing() -> None:
+@pytest.mark.parametrize("late_ms", [0, 4])
+def test_an_answer_to_the_starting_line_that_is_lost_stops_nothing(late_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 2000)
         await driver.verify()
         await driver.go()
+        model = world.wire.model
+        world.wire.model = replace(model, latency_ns=model.latency_ns + late_ms * NS_PER_MS)  # the line, too
         world.wire.to_near = lambda data: b"\xff\xff\r" if data == framed("Y") else data
         span = (await driver.started())["x"]
         assert (await driver.outcome()).state == "done"
