@@ -129,9 +129,9 @@ class Unit:
 
     async def _live(self) -> None:
         """Reach the controller, serve it until the link breaks, and again, with growing pauses."""
+        self._spawn(self._beat())
         pause_ns = BACKOFF_FIRST_NS
         while True:
-            heartbeat = self._spawn(self._beat())
             try:
                 if self._stop_owed:
                     await self._pay_owed_stop()
@@ -148,13 +148,10 @@ class Unit:
                 self._offline(error.fault)
             except CannotDo as error:
                 self._offline(Fault(code=error.refusal.code, text=error.refusal.text, remedy=error.refusal.remedy))
-            heartbeat.cancel()
             await self._driver.close()
             if pause_ns or not self._stop_owed:
                 # What was loaded when the link broke may be about to begin: its stop is tried at once.
-                heartbeat = self._spawn(self._beat())
                 await sleep_ns(self._clock, max(pause_ns, BACKOFF_FIRST_NS))
-                heartbeat.cancel()
             pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
     async def _pay_owed_stop(self) -> None:
