@@ -9,7 +9,7 @@ from orchestrator.lab.campaign_jobs import Order
 from orchestrator.lab.campaign_witness import Asked, Witness
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Axis
-from orchestrator.model.report import ENDED, JobReport, StepReport
+from orchestrator.model.report import ENDED, JobReport, MemberReport, StepReport
 from orchestrator.model.state import Interval
 from sim.core.controller import Motion
 
@@ -331,9 +331,16 @@ class Judge:
                 if step.state == "done" and evidence.end is not None and end_ns is not None:
                     self._contain(f"{label} end", evidence.end, end_ns - origin_ns)
                 window = step.budget.members.get(name) if step.budget and not step.budget.by_line else None
-                if window is not None:
+                if window is not None and not self._came_late(name, member, truth[0].start_ns):
                     promised = Interval(earliest_ns=t0_ns + window.earliest_ns, latest_ns=t0_ns + window.latest_ns)
                     self._contain(f"{label} promised start", promised, start_ns)
+
+    def _came_late(self, name: str, member: MemberReport, start_ns: int) -> bool:
+        """Whether what started the member may have been longer on its way than its wire promises."""
+        late_ns = self._fleet.wires[name].late_ns
+        return member.start_class in ("host", "sync") and any(
+            start_ns - WINDOW_NS < each <= start_ns for each in late_ns
+        )
 
     def _truth(self, act: Act, name: str, motor: str, t0_host_ns: int) -> list[Motion]:
         """The motions of an axis in the step that begins at T0, up to the next step. Slow ones are made of pieces."""

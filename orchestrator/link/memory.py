@@ -65,7 +65,8 @@ def can_wire(hold_ns: int = 0) -> WireModel:
 class MemoryWire:
     """The wire to one port of one simulated controller. Faults are injected here, from outside.
 
-    far_context: the context of the process that the controller lives in.
+    far_context: the context of the process that the controller lives in. late_ns: when lines to the controller were
+    written that were longer on their way than latency and jitter, by the tail.
     """
 
     clock: VirtualClock
@@ -80,6 +81,7 @@ class MemoryWire:
     to_far: Callable[[bytes], bytes] | None = None
     to_near: Callable[[bytes], bytes] | None = None
     links: "list[MemoryLink]" = field(default_factory=list["MemoryLink"])
+    late_ns: list[int] = field(default_factory=list[int])
     draw: Random = field(init=False)
     _outside: Context = field(init=False, default_factory=Context)
 
@@ -166,7 +168,10 @@ class MemoryLink:
         # A command takes effect when its own terminator has arrived, not when the last one of the write has.
         for line in data.splitlines(keepends=True):
             self._out_free_ns = max(self._out_free_ns, now_ns) + len(line) * wire.model.char_ns
-            arrival_ns = max(self._out_free_ns + wire.delay_ns(), self._last_far_ns)
+            delay_ns = wire.delay_ns()
+            if delay_ns > wire.model.latency_ns + wire.model.jitter_ns:
+                wire.late_ns.append(now_ns)
+            arrival_ns = max(self._out_free_ns + delay_ns, self._last_far_ns)
             self._last_far_ns = arrival_ns
             wire.later(arrival_ns, lambda line=line: self._arrive_far(line))
         return now_ns

@@ -1,0 +1,44 @@
+"""A wire in memory tells which lines were longer on their way to a controller than it promises."""
+
+from collections.abc import Callable
+from contextvars import copy_context
+from dataclasses import replace
+
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.memory import LAN, FarConnection, MemoryWire
+
+
+class Echo:
+    """Answers each line with itself. arrived_ns: when lines have come."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.arrived_ns: list[int] = []
+        self._clock = clock
+        self._send: Callable[[bytes], None] = lambda _: None
+
+    def connect(self, port: str, send: Callable[[bytes], None], closed: Callable[[], None]) -> FarConnection:
+        self._send = send
+        return self
+
+    def receive(self, data: bytes) -> None:
+        self.arrived_ns.append(self._clock.now_ns())
+        self._send(data)
+
+    def close(self) -> None: ...
+
+
+def test_lines_that_the_tail_has_kept_are_told_and_answers_are_not() -> None:
+    async def main(clock: VirtualClock) -> None:
+        echo = Echo(clock)
+        wire = MemoryWire(clock, replace(LAN, tail_chance=0.1), echo, "tcp", "unit", copy_context(), seed=5)
+        link = await wire.open()
+        sent_ns: list[int] = []
+        for _ in range(50):
+            sent_ns.append(link.write(b"?\r"))
+            await sleep_ns(clock, 20 * NS_PER_MS)
+        usual_ns = LAN.latency_ns + LAN.jitter_ns
+        late_ns = [sent for sent, arrived in zip(sent_ns, echo.arrived_ns, strict=True) if arrived - sent > usual_ns]
+        assert 0 < len(late_ns) < 15 and wire.late_ns == late_ns
+
+    run_virtual(main)
