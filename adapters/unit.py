@@ -413,6 +413,8 @@ class Unit:
         task = asyncio.get_running_loop().create_task(self._survive(coroutine))
         self._tasks.add(task)
         task.add_done_callback(self._ended)
+        # A task that is cancelled before its first turn leaves it unbegun.
+        task.add_done_callback(lambda _: coroutine.close())
         return task
 
     async def _survive(self, coroutine: Coroutine[Any, Any, None]) -> None:

@@ -19,7 +19,6 @@ from adapters.yaskawa.dialect import motor_indices
 from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
@@ -29,7 +28,7 @@ from adapters.yaskawa.record import (
     AxisRecord,
 )
 from adapters.yaskawa.settings import configure
-from adapters.yaskawa.start import Start
+from adapters.yaskawa.start import STILL_TO_COME, Start
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
@@ -43,8 +42,8 @@ BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
 LONGEST_EXCHANGE = 80  # characters, to and fro
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 20
-DISARM_EXCHANGES = 7
-GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
+DISARM_EXCHANGES = 8
+RELEASE_NS = STILL_TO_COME * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D)"
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
@@ -92,8 +91,8 @@ class SMC4000Driver(YaskawaDriver[Device]):
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
-            # The gate is decided before the quiet time, and a release must reach it by then.
-            disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
+            # A release must be told before the gate is decided; who went through it can be halted up to the start.
+            disarm_ns=max(RELEASE_NS, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         return Capabilities(start_classes=CLASSES, orders=(2, 3), independent_axes=False, costs=costs)

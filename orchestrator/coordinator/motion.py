@@ -201,7 +201,7 @@ class Motion:
                 await self._arm(moving, step)
                 await self._judge_frozen(moving, job, step)
                 # Commit and go need their time too, and after it a failure must still leave time to disarm.
-                needs_ns = pace.margin_ns // 2 + self._proposing.disarm_ns(moving)
+                needs_ns = pace.margin_ns // 2 + moving.disarm_ns
                 if self._throne.fleet_now_ns() + needs_ns >= moving.t0_fleet_ns:
                     await self._disarm(moving)
                     raise Refuse("late", "arming took longer than was allowed for")
@@ -302,8 +302,7 @@ class Motion:
         requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals}
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         # Whoever has not answered by then is given up while the others can still be unloaded.
-        disarm_s = max(p.costs.disarm_ns for p in moving.proposals.values() if p.costs) / NS_PER_S
-        wait_s = max(left_s / 2, left_s - disarm_s)
+        wait_s = max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)
         released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, wait_s)))
         await self._disarm_if_refused(moving, released)
 

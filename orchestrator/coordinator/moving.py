@@ -48,8 +48,8 @@ class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
 
     arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
-    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun. decided: the journal says
-    that it goes.
+    early_ns: how much before the plan an axis may end that can not go so slowly. held_by: who has it braked inside.
+    unloaded: when it was disarmed last, nobody had begun. decided: the journal says that it goes.
     """
 
     job_id: str
@@ -61,6 +61,7 @@ class Moving:
     line: LineStart | None = None
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
+    early_ns: int = 0
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None
     arming_fleet_ns: int = 0
@@ -92,6 +93,12 @@ class Moving:
     def members(self) -> list[str]:
         """The movers, and the controller that drives their line."""
         return self.movers if self.line is None else list(dict.fromkeys([self.line.driver, *self.movers]))
+
+    @property
+    def disarm_ns(self) -> int:
+        """How long before T0 nobody can be sure any more to take the step back: by what the members declare, because
+        where the controllers themselves decide so long before their start, no quick link makes it shorter."""
+        return max((each.costs.disarm_ns for each in self.proposals.values() if each.costs is not None), default=0)
 
     def lost_permit(self) -> str | None:
         """What permit of the step has been lost since it was armed, in words."""

@@ -40,6 +40,7 @@ class Proposing:
 
         A line is taken where it makes the predicted start skew smaller, or where the step asks for one.
         """
+        moving.early_ns = step.max_end_skew or job.max_end_skew or END_SKEW_NS
         lines = [line for wire in self._view.fleet.wiring if (line := await self._line(wire, moving)) is not None]
         if step.start == "line" and not lines:
             raise Refuse(
@@ -121,7 +122,6 @@ class Proposing:
 
     async def _rounds(self, moving: Moving, job: Job, step: Move) -> None:
         """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
-        allowed_ns = step.max_end_skew or job.max_end_skew or END_SKEW_NS
         durations: dict[str, float] = {}
         # What the same members needed last time mostly saves a round; what they promise for longer holds for less.
         members = frozenset(moving.movers)
@@ -144,6 +144,7 @@ class Proposing:
         if step.sync != "none":
             worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
             off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
+            allowed_ns = moving.early_ns
             if off_ns > allowed_ns:
                 raise Refuse(
                     "end-skew",
@@ -163,19 +164,7 @@ class Proposing:
                 place = self._view.fleet.controllers[member].link.place
                 takes_ns = proposal.costs.arm_ns * self.pace.share(member)
                 arming_ns[place] = arming_ns.get(place, 0.0) + takes_ns
-        needs_ns = round(max(arming_ns.values())) + self.pace.margin_ns + self.disarm_ns(moving)
-        # No adapter begins to arm what it could not take back before T0, by what it declares.
-        declared_ns = max(each.costs.disarm_ns for each in moving.proposals.values() if each.costs is not None)
-        return max(needs_ns, declared_ns + self.pace.margin_ns)
-
-    def disarm_ns(self, moving: Moving) -> int:
-        """How long before T0 it must be decided that nobody moves."""
-        takes_ns = [
-            proposal.costs.disarm_ns * self.pace.share(member)
-            for member, proposal in moving.proposals.items()
-            if proposal.costs is not None
-        ]
-        return round(max(takes_ns, default=0.0))
+        return round(max(arming_ns.values())) + self.pace.margin_ns + moving.disarm_ns
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""
@@ -215,14 +204,16 @@ class Proposing:
 
 def start_ways(moving: Moving, step: Move, members: Iterable[str]) -> dict[str, StartWay]:
     """How each of `members` is to start in the step."""
-    lead_ns, line, brake_s = moving.lead_ns + READING_NS, moving.line, moving.brake_s
+    lead_ns, line = moving.lead_ns + READING_NS, moving.line
+    also = {"brake_s": moving.brake_s, "early_ns": moving.early_ns}
     by = "auto" if step.start == "line" else step.start
-    return {
-        member: line.way(member, lead_ns).model_copy(update={"brake_s": brake_s})
+    ways = {
+        member: line.way(member, lead_ns)
         if line is not None and (member == line.driver or member in line.waiters)
-        else StartWay(by=by, lead_ns=lead_ns, brake_s=brake_s)
+        else StartWay(by=by, lead_ns=lead_ns)
         for member in members
     }
+    return {member: way.model_copy(update=also) for member, way in ways.items()}
 
 
 def refuse_if_any(replies: Mapping[str, Reply]) -> None:

@@ -3,10 +3,11 @@
 import asyncio
 from dataclasses import replace
 
+import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.pace import KEPT, MARGIN_NS, Pace
+from orchestrator.coordinator.pace import KEPT, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -68,7 +69,7 @@ def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late
         assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
         pace.released(NS_PER_MS)
-    assert 0.2 < pace.share("a") < 0.3
+    assert pace.share("a") == pytest.approx(ROOM * (10 + KEPT - 1) / 100)
     assert pace.share("b") == 1.0
     assert pace.margin_ns < MARGIN_NS / 4
     pace.late({"a": None})
