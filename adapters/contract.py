@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 
 from pydantic import BaseModel
 
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, OpenLink
@@ -200,6 +200,11 @@ def require_how(how: StartWay, known: Sequence[StartClass], why: str) -> None:
     wanted = "line" if how.wait is not None else how.by
     if wanted != "auto" and wanted not in known:
         raise CannotDo("start-class", f"no start by {wanted}: {why}", f"ask for start class {' or '.join(known)}")
+
+
+def too_quick(made_s: float, wanted_s: float, how: StartWay) -> bool:
+    """Whether a move that can not be as slow as wanted ends too early: by a fiftieth, and by more than allowed."""
+    return wanted_s - made_s > max(wanted_s / 50, how.early_ns / NS_PER_S)
 
 
 class Driver(ABC):

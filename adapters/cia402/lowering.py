@@ -9,7 +9,7 @@ from adapters.cia402.fleetaxes import POSITION_MAX, bounds, only_axis, streams, 
 from adapters.cia402.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.shape import Trapezoid, fit
-from adapters.contract import CannotDo, Lowered, require_how
+from adapters.contract import CannotDo, Lowered, require_how, too_quick
 from adapters.patherror import path_error_counts
 from adapters.points import driven
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
@@ -18,7 +18,6 @@ from orchestrator.model.messages import LineDrive, StartWay, Term
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import Costs
 
-_SHORT_ROOM = 0.02  # a move may be too short by this part of the wanted duration; more is refused
 _MOST_LOAD = 0.6  # of a bus by positions and their answers: what else the drives say must have room
 
 
@@ -109,7 +108,7 @@ def lower(
     # One count is no path.
     if any(profile.jerks) and abs(profile.end_counts - profile.start_counts) > 1:
         return _streamed(done, config, options, bus, profile, following)
-    return _set_point(done, config, options, profile)
+    return _set_point(done, config, options, profile, how)
 
 
 def _commands(drive: Drive | None) -> tuple[str, ...]:
@@ -118,9 +117,9 @@ def _commands(drive: Drive | None) -> tuple[str, ...]:
     return (f"60FEh bit {drive.bit.bit_length() - 1} {'on' if drive.high else 'off'} with SYNC",)
 
 
-def _set_point(done: CiaLowered, config: Controller, options: Options, profile: Profile) -> CiaLowered:
+def _set_point(done: CiaLowered, config: Controller, options: Options, profile: Profile, how: StartWay) -> CiaLowered:
     """Executed by the drive's own profile."""
-    shape = _shape(config, options, profile)
+    shape = _shape(config, options, profile, how)
     commands = (
         f"607Ah = {profile.end_counts}, 6081h = {shape.velocity}",
         f"6083h = {shape.acceleration}, 6084h = {shape.deceleration}",
@@ -220,7 +219,7 @@ def _driven(config: Controller, drive: LineDrive | None) -> Drive | None:
     return Drive(drive.output, point_bit(point.number), point.active == "high", drive.hold_ns)
 
 
-def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid:
+def _shape(config: Controller, options: Options, profile: Profile, how: StartWay) -> Trapezoid:
     name, axis = only_axis(config)
     way = abs(profile.end_counts - profile.start_counts)
     wanted_s, limits = profile.duration_s, bounds(axis)
@@ -232,11 +231,11 @@ def _shape(config: Controller, options: Options, profile: Profile) -> Trapezoid:
             f"{limits.acceleration:g} counts/s²",
             "correct `velocity_units` and `acceleration_units`",
         )
-    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+    if too_quick(shape.duration_s, wanted_s, how):
         raise CannotDo(
             "too-slow",
             f"axis {name}: {way} counts in {wanted_s:.6g} s is slower than the drive can in whole units; the longest "
             f"that it can take is {shape.duration_s:.6g} s",
-            f"plan {shape.duration_s:.6g} s or less",
+            f"plan {shape.duration_s:.6g} s or less, or let it end early with `max_end_skew`",
         )
     return shape

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from adapters.contract import CannotDo, Lowered, require_how
+from adapters.contract import CannotDo, Lowered, require_how, too_quick
 from adapters.patherror import in_host_time, path_error_counts
 from adapters.ppsmc.costs import costs
 from adapters.ppsmc.fleetaxes import bounds, motor
@@ -19,8 +19,6 @@ _WHY_NOT = {
     "line": "the i/o port is an option of the unit, and `options.io_port` is not set; or no input was named",
     "clock": "the SMC has no readable clock to start by",
 }
-# A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
-_SHORT_ROOM = 0.02
 _ALIKE_S = 0.001
 _FITS = 24  # so many are looked for beyond the first ones; some milliseconds each
 
@@ -78,7 +76,7 @@ def lower(
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
     rate, start = known.rate.factor, known.latency
-    moves = _together(config, rate, profiles)
+    moves = _together(config, rate, profiles, how)
     running = tuple(each for each in moves if each.shape is not None)
     durations_s = {each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves}
     ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
@@ -112,13 +110,13 @@ def _shown(running: tuple[AxisMove, ...], wait: Wait | None, drive: Drive | None
     return (first, *moving, "nl", "end", "start:")
 
 
-def _together(config: Controller, rate: float, profiles: Mapping[str, Profile]) -> list[AxisMove]:
+def _together(config: Controller, rate: float, profiles: Mapping[str, Profile], how: StartWay) -> list[AxisMove]:
     """The moves, by axis number. Slow axes of one unit have only some durations, each its own: where that of one is
     longer, the others are asked for it as well, so that the unit answers with one that all its axes have, if there
     is one near. rate: seconds of the unit's crystal in one of the host's."""
 
     def stretched(factor: float) -> list[AxisMove]:
-        moves = [_move(name, config.axes[name], each, rate, factor) for name, each in profiles.items()]
+        moves = [_move(name, config.axes[name], each, rate, factor, how) for name, each in profiles.items()]
         return sorted(moves, key=lambda each: each.motor)
 
     first = moves = stretched(1.0)
@@ -137,7 +135,7 @@ def _together(config: Controller, rate: float, profiles: Mapping[str, Profile]) 
     return first
 
 
-def _move(name: str, axis: Axis, profile: Profile, rate: float, factor: float) -> AxisMove:
+def _move(name: str, axis: Axis, profile: Profile, rate: float, factor: float, how: StartWay) -> AxisMove:
     """One axis's part, in `factor` times the planned duration. Raises `CannotDo`."""
     if any(profile.jerks):
         raise CannotDo("jerk", f"axis {name}: the SMC can not limit jerk", "leave `jerk` out of the axis's limits")
@@ -159,12 +157,12 @@ def _move(name: str, axis: Axis, profile: Profile, rate: float, factor: float) -
             "correct `start_rate`",
         )
     # The unit's slowest is its lowest start speed: what would have to be slower is refused, what needs longer answered.
-    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+    if too_quick(shape.duration_s, wanted_s, how):
         raise CannotDo(
             "too-slow",
             f"axis {name}: {abs(distance)} steps in {wanted_s:.6g} s is slower than the unit can; the longest that it "
             f"can take with its start speeds is {shape.duration_s:.6g} s",
-            f"plan {shape.duration_s:.6g} s or less, or lower `start_rate.min`",
+            f"plan {shape.duration_s:.6g} s or less, lower `start_rate.min`, or let it end early with `max_end_skew`",
         )
     return AxisMove(name, motor(axis), profile.start_counts, distance, shape)
 

@@ -6,7 +6,7 @@ Where one move can not take the planned time, a second one is loaded behind it w
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from adapters.contract import CannotDo, Lowered, require_how
+from adapters.contract import CannotDo, Lowered, require_how, too_quick
 from adapters.patherror import in_host_time, path_error_counts
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
@@ -28,8 +28,6 @@ _WHY_NOT = {
     "line": "the unit takes no standby while its axes are at rest, or no input was named",
     "clock": "the SHRC-203 has no readable clock to start by",
 }
-# A move may be too short by this part of the wanted duration; more is refused, because the axis can not be slower.
-_SHORT_ROOM = 0.02
 # An interpolated line must be nearer to the plan by so many pulses: the unit goes in whole ones.
 _NEARER = 0.5
 # A second move is not needed where one alone is so near to the planned duration.
@@ -112,7 +110,7 @@ def lower(
         require_how(how, ("host",), _WHY_NOT["line" if how.wait is not None or how.by == "line" else "clock"])
     wait = None if how.wait is None else waited_for(config, how.wait)
     drive = None if how.drive is None else driven(config, how.drive)
-    moves, straight = _moves(config, options, wire, profiles, interpolated=wait is None)
+    moves, straight = _moves(config, options, wire, profiles, how, interpolated=wait is None)
     running = tuple(each for each in moves if each.shape is not None)
     firsts = tuple(each.pieces[0] for each in running)
     seconds = tuple(piece for each in running for piece in each.pieces[1:])
@@ -146,7 +144,12 @@ def lower(
 
 
 def _moves(
-    config: Controller, options: Options, wire: Wire, profiles: Mapping[str, Profile], interpolated: bool
+    config: Controller,
+    options: Options,
+    wire: Wire,
+    profiles: Mapping[str, Profile],
+    how: StartWay,
+    interpolated: bool,
 ) -> tuple[tuple[AxisMove, ...], Straight | None]:
     """The part of every axis; of a straight line by the unit's interpolation, where that is nearer to the plan than
     moves of single axes, or these can not be so slow.
@@ -159,7 +162,7 @@ def _moves(
     factor = wire.known.rate.factor
     line = straight_line(config, options, profiles, [each.name for each in running], factor) if interpolated else None
     try:
-        alone = tuple(_alone(config.axes[each.name], options, wire, each, profiles[each.name]) for each in running)
+        alone = tuple(_alone(config.axes[each.name], options, wire, each, profiles[each.name], how) for each in running)
     except CannotDo as refused:
         if line is None or refused.refusal.code != "too-slow":
             raise
@@ -230,7 +233,7 @@ def _way(name: str, axis: Axis, profile: Profile) -> AxisMove:
     return AxisMove(name, motor(axis), profile.start_counts, distance, None)
 
 
-def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Profile) -> AxisMove:
+def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Profile, how: StartWay) -> AxisMove:
     """The move of an axis by itself. Raises `CannotDo`."""
     factor, limits, way, name = wire.known.rate.factor, bounds(axis), abs(move.distance), move.name
     wanted_s = profile.duration_s * factor  # of the unit's own
@@ -244,12 +247,13 @@ def _alone(axis: Axis, options: Options, wire: Wire, move: AxisMove, profile: Pr
     if move.motor not in wire.closed_loop:  # where the end of the first move is known only when the scale has settled
         shape = _nearer(shape, way, profile, limits, options, factor)
     # The unit's slowest is its start speed: what would have to be slower is refused, what needs longer is answered.
-    if shape.duration_s < wanted_s * (1 - _SHORT_ROOM):
+    if too_quick(shape.duration_s / factor, profile.duration_s, how):
         raise CannotDo(
             "too-slow",
             f"axis {name}: {way} pulses in {profile.duration_s:.6g} s is slower than the unit can; the longest that it "
             f"can take within ramps of {RAMP_MAX_MS} ms and its start speeds is {shape.duration_s / factor:.6g} s",
-            f"plan {shape.duration_s / factor:.6g} s or less, or lower `start_rate.min`",
+            f"plan {shape.duration_s / factor:.6g} s or less, lower `start_rate.min`, or let it end early with "
+            "`max_end_skew`",
         )
     return replace(move, shape=shape)
 

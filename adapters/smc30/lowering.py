@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Literal
 
-from adapters.contract import CannotDo, Lowered, require_how
+from adapters.contract import CannotDo, Lowered, require_how, too_quick
 from adapters.patherror import in_host_time, path_error_counts
 from adapters.points import driven, waited_for
 from adapters.smc30.options import Options
@@ -29,7 +29,6 @@ DELAY_NS = 10 * NS_PER_MS  # D counts hundredths of a second (L2525)
 DELAY_MAX = 32_000
 LINES_BEFORE = 5  # program lines up to the motion or the edge, with the one that does it: S, T, R, D, G or A
 GAP_LINES = 2  # between two motor commands: T, G
-_SHORT_ROOM = 0.02  # a move may be too short by this part of the wanted duration
 _START_CHARACTERS = 4  # of a starting line: address, E, checksum, CR
 _ANSWER_CHARACTERS = 3  # Y, checksum, CR
 
@@ -109,7 +108,7 @@ def lower(
         raise CannotDo("start-class", "no start by line: no input is named to wait for", "name it in the wiring")
     axis, _ = only_axis(config)
     profile = profiles.get(axis)
-    shape = None if profile is None else _shape(config, options, profile, known.rate.factor)
+    shape = None if profile is None else _shape(config, options, profile, known.rate.factor, how)
     start_counts = 0 if profile is None else profile.start_counts
     target = None if profile is None or shape is None else profile.end_counts
     lead_ns = known.latency.usual_ns + schedule.delay_ns
@@ -237,7 +236,7 @@ def _driven(config: Controller, drive: LineDrive | None) -> Point | None:
     return Point(drive.output, point.number, point.active == "high")
 
 
-def _shape(config: Controller, options: Options, profile: Profile, correction: float) -> Shape | None:
+def _shape(config: Controller, options: Options, profile: Profile, correction: float, how: StartWay) -> Shape | None:
     """correction: seconds of the unit's crystal in one of the host's."""
     name, axis = only_axis(config)
     if any(profile.jerks):
@@ -261,12 +260,13 @@ def _shape(config: Controller, options: Options, profile: Profile, correction: f
             f"{limits.start_max} steps/s keep its acceleration over {steps} steps",
             "correct `start_rate`, or allow more acceleration",
         )
-    if shape.duration_s < wanted_s * correction * (1 - _SHORT_ROOM):
+    if too_quick(shape.duration_s / correction, wanted_s, how):
         raise CannotDo(
             "too-slow",
             f"axis {name}: {steps} steps in {wanted_s:.6g} s is slower than the unit can; the longest that it can take "
             f"is {shape.duration_s / correction:.6g} s",
-            f"plan {shape.duration_s / correction:.6g} s or less, or lower `start_rate.min`",
+            f"plan {shape.duration_s / correction:.6g} s or less, lower `start_rate.min`, or let it end early with "
+            "`max_end_skew`",
         )
     return shape
 

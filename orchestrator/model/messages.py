@@ -105,6 +105,7 @@ class StartWay(Model):
     long a stop from the peak velocity should take, so that all axes of the step stay on their common path and come to
     rest together; 0: as short as the limits allow. end_ns: how long after T0 a member that ends at ticks of its own
     should end: at most some ticks after the plan, where all members' ticks fall close together; 0: with the plan.
+    early_ns: how much before the plan an axis may end that can not go so slowly.
     """
 
     by: StartWish = "auto"
@@ -112,6 +113,7 @@ class StartWay(Model):
     exact: bool = False
     brake_s: float = 0.0
     end_ns: Int53 = 0
+    early_ns: Int53 = 0
     wait: LineWait | None = None
     drive: LineDrive | None = None
 

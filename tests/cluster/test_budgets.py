@@ -5,6 +5,8 @@ from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from orchestrator.client.clocks import clocks
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.lab.sync_fleets import ppsmc, shrc203, smc30, smc4000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 
@@ -83,5 +85,33 @@ def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_w
             if evidence.modelled is not None:
                 starts.append(evidence.modelled.earliest_ns <= true_ns <= evidence.modelled.latest_ns)
         assert starts and all(each is kept for each in starts)
+
+    run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_who_can_not_go_so_slowly_ends_early_as_far_as_the_job_allows_and_is_refused_beyond_that() -> None:
+    slow = {"stage": shrc203(0), "pulses": ppsmc(1), "steps": smc30(2, 1)}
+    plain = {"schema": "tutti.fleet/1", "fleet": "slow", "controllers": {"gantry": smc4000(3), **slow}}
+    # Of some tenths of a second at the lowest start rates, beside one of two seconds.
+    way = "{gantry.x: 100, stage.x: 0.004, pulses.x: 25, steps.x: 0.02}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        axes = list(fleet.controllers)
+        await outcome(fleet, job(f"[{{do: enable, axes: {axes}}}, {{do: home, axes: {axes}}}]"))
+        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        move = f"[{{do: move, by: {way}, speed: 0.2}}]"
+        refused = await refusal(fleet, job(move, max_start_skew="50 ms"))
+        assert refused.code == "too-slow" and refused.member in slow and "max_end_skew" in (refused.remedy or "")
+        assert before == {name: len(each.motions) for name, each in fleet.controllers.items()}
+        report = await outcome(fleet, job(move, max_start_skew="50 ms", max_end_skew="3 s"))
+        assert report.state == "done", report.reason
+        step = report.steps[0]
+        ends: dict[str, int] = {}
+        for name, each in fleet.controllers.items():
+            (motion,) = each.motions[before[name] :]
+            evidence = step.members[name].evidence["x"].end
+            ends[name] = (motion.end_ns or 0) - next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+            assert evidence is not None and evidence.earliest_ns <= ends[name] <= evidence.latest_ns
+        assert all(ends["gantry"] - ends[name] > 500 * NS_PER_MS for name in slow), ends
 
     run_fleet(main, Fleet.model_validate(plain))
