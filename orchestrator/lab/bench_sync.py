@@ -177,9 +177,10 @@ def bench_sync(
         starts[f"{row.fleet}: {row.way}"] = skews_ms
         told(row)
 
-    for baseline in BASELINES:
+    for row, baseline in enumerate(BASELINES):
         if only in f"{baseline.fleet}: {baseline.way}":
-            take(*_baseline(baseline, trials, seed))
+            olds = [OldTrial(row, seed, number) for number in range(trials)]
+            take(*_baseline(baseline, list(spread(_play_old, olds, processes))))
     for row, case in enumerate(CASES):
         if only in f"{case.fleet}: {case.name}":
             worlds = list(_worlds(row, max(2, round(trials * case.trials)), seed, history_s))
@@ -187,12 +188,24 @@ def bench_sync(
     return rows, starts
 
 
-def _baseline(baseline: Baseline, trials: int, seed: int) -> tuple[SyncFigures, list[float]]:
-    skews_ms = [
-        run_virtual(lambda clock, k=k: baseline.trial(clock, Random(f"{seed} {k}"))) / 1e6 for k in range(trials)
-    ]
+class OldTrial(NamedTuple):
+    """One of a row of BASELINES."""
+
+    row: int
+    seed: int
+    number: int
+
+
+def _play_old(trial: OldTrial) -> float:
+    """The start skew, ms."""
+    draw = Random(f"{trial.seed} {trial.number}")
+    return run_virtual(lambda clock: BASELINES[trial.row].trial(clock, draw)) / 1e6
+
+
+def _baseline(baseline: Baseline, skews_ms: list[float]) -> tuple[SyncFigures, list[float]]:
+    nothing = dict.fromkeys(("bound_p99", "end_p99", "path_p99", "budget", "width", "width_most", "misses", "met"))
     figures = SyncFigures(
-        baseline.fleet, baseline.way, trials, *_spread(skews_ms), None, None, None, None, None, None, None, "", "", None
+        baseline.fleet, baseline.way, len(skews_ms), *_spread(skews_ms), **nothing, worst="", asked=""
     )
     return figures, skews_ms
 
