@@ -1,6 +1,6 @@
 """One poll: coordinates and status words in one line, and what may be asked beside it.
 
-Queries that answer a bare digit are left out while a completion is owed: their last values are given again.
+Queries that may be answered by a bare digit are left out while a completion is owed: their last values are given again.
 """
 
 from adapters.contract import AxisReading, Reading
@@ -45,7 +45,7 @@ class Poller:
         busy = {motor for motor, each in now.items() if each.busy}
         self._forgive(busy, line.at_ns)
         waiting = {motor for motor, counts in unit.waiting.items() if now[motor].busy and now[motor].counts == counts}
-        if not session.owed and busy <= unit.by_hand | waiting:
+        if busy <= unit.by_hand | waiting:
             await self._ask_digits()
         found: list[Fault] = []
         axes: dict[str, AxisReading] = {}
@@ -92,12 +92,13 @@ class Poller:
 
     async def _ask_digits(self) -> None:
         unit = self._unit
-        answer = await unit.session.ask("?:CW", flags(len(unit.controllable)))
-        unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
-        if self._config.inputs:
-            self._inputs = bits(int(await unit.session.ask("I:", BITS)))
-        if self._config.outputs:
-            unit.outputs = int(await unit.session.ask("?:O", BITS))
+        answer = await unit.session.ask_digits("?:CW", flags(len(unit.controllable)))
+        if answer is not None:
+            unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
+        if self._config.inputs and (answer := await unit.session.ask_digits("I:", BITS)) is not None:
+            self._inputs = bits(int(answer))
+        if self._config.outputs and (answer := await unit.session.ask_digits("?:O", BITS)) is not None:
+            unit.outputs = int(answer)
             self._outputs = bits(unit.outputs)
 
 

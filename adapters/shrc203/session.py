@@ -33,6 +33,10 @@ class Line:
     asked_ns: int = 0
 
 
+class _Owed(Exception):
+    """A completion is owed: a bare digit could be either."""
+
+
 class Pending:
     """A command whose reply is still to come. `reply` is None when nobody waits for it."""
 
@@ -74,6 +78,7 @@ class Session:
         self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read())
         self.owed: set[int] = set()
+        self._owed_since_ns = 0
         self._each: Callable[[int, int], None] | None = None
         self.abandoned = False
         self._before: set[int] = set()
@@ -92,15 +97,27 @@ class Session:
         line = await self.ask_line(command, form)
         return line.text
 
-    async def ask_line(self, command: str, form: Form) -> Line:
-        """Like `ask`, with the time stamp of the reply."""
+    async def ask_digits(self, command: str, form: Form) -> str | None:
+        """Like `ask`, for what may be answered by a bare digit; None while a completion is owed."""
+
+        def still() -> None:
+            if self.owed:
+                raise _Owed
+
         try:
-            line = await self._exchange(command, form)
+            return (await self.ask_line(command, form, still)).text
+        except _Owed:
+            return None
+
+    async def ask_line(self, command: str, form: Form, still: Callable[[], None] | None = None) -> Line:
+        """Like `ask`, with the time stamp of the reply. still: as for `tell`."""
+        try:
+            line = await self._exchange(command, form, still)
             if line.text not in REFUSALS:
                 return line
         except DriverFault:
             self._astray = True
-        line = await self._exchange(command, form)
+        line = await self._exchange(command, form, still)
         if line.text in REFUSALS:
             said = refusal(command)
             raise DriverFault(said.code, said.text, said.remedy)
@@ -177,12 +194,14 @@ class Session:
             self._queue.remove(pending)
 
     def owe(self, motors: set[int], each: Callable[[int, int], None] | None = None, before: Iterable[int] = ()) -> None:
-        """From now on a bare digit is the completion of one of `motors`, and its only one.
+        """From now on a bare digit is the completion of one of `motors`, and its only one; but not while a question
+        is to be answered by one that was asked before.
 
         each: called with motor and instant; then more of the same motor are owed, until `owe_nothing`. before: motors
         that complete another move before that.
         """
         self.owed = set(motors)
+        self._owed_since_ns = self._clock.now_ns()
         self._before = set(before)
         self._each = each
         self.completed = {}
@@ -337,6 +356,9 @@ class Session:
 
     def _is_completion(self, line: Line) -> bool:
         motor = int(line.text)
+        asked = self._queue[0] if self._queue and self._queue[0].form.fits(line.text) else None
+        if asked is not None and asked.written_ns <= self._owed_since_ns:
+            return False  # what is owed is begun behind that question
         if motor in self.owed and self._each is not None:
             self._each(motor, line.at_ns)
             self.changed.set()
@@ -350,7 +372,7 @@ class Session:
             self.changed.set()
             return True
         # Nobody waits for it: still a completion, of a move that somebody else made, unless it answers the question.
-        return not (self._queue and self._queue[0].form.fits(line.text))
+        return asked is None
 
     async def wait_changed(self, until_ns: int) -> None:
         """Until a completion comes, somebody sets `changed`, the link is lost (`LinkClosed`), or that instant."""

@@ -1,5 +1,6 @@
 """The SHRC-203 driver against the simulated unit over a serial wire, judged by the simulator's truth."""
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import copy_context
 from dataclasses import dataclass
@@ -146,6 +147,24 @@ def test_starts_and_ends_lie_in_the_claimed_spans(seed: int) -> None:
                 assert abs(motion.start_ns - t0_ns) < 2.3 * NS_PER_MS
 
     run(case, seed=seed, ppm=Random(seed).uniform(-95, 95), hold_ns=seed % 2 * 16 * NS_PER_MS)
+
+
+def test_the_answer_to_a_poll_is_not_taken_for_the_completion_of_a_move_that_is_released_meanwhile() -> None:
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        bench.unit.set_input(1, True)  # its inputs are answered by the digit that motor 1 ends with
+        for number, after_ms in enumerate(range(2, 44, 3)):
+            await bench.arm({"x": 0 if number % 2 else 400})
+            poll = asyncio.ensure_future(bench.driver.poll())
+            await sleep_ns(bench.clock, after_ms * NS_PER_MS)
+            await bench.driver.go()
+            assert (await poll).inputs[1]
+            started = await bench.driver.started()
+            assert started["x"].earliest_ns <= bench.unit.motions[-1].start_ns <= started["x"].latest_ns
+            assert (await bench.driver.outcome()).state == "done"
+            assert len(bench.moved()) == number + 1
+
+    run(case, config=controller(inputs={"start": {"number": 1}}))
 
 
 def test_a_disarmed_move_never_runs() -> None:
