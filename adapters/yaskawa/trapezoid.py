@@ -163,7 +163,7 @@ def fit(
     if ranks.min() > GOOD * plan.peak:
         more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
         candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
-    finalists = _distinct(candidates[np.argsort(ranks, kind="stable")[:ALIKE]])[:FINALISTS]
+    finalists = _distinct(candidates[np.argsort(ranks, kind="stable")[:ALIKE]])
     laws, exact = _Law.by(way, finalists[:, None, :]), _Planned(profile, tick_s)
     errors = _path_errors(exact, laws, phase)
     best = int(np.argmin(off(laws.length[:, 0]) + errors))
@@ -204,9 +204,9 @@ def _values(value: Array, step: int, top: int, neighbours: Array) -> Array:
 
 
 def _distinct(candidates: Array) -> Array:
-    """Each once, in order: one may have been found in several ways."""
+    """The first few that differ: one may have been found in several ways."""
     rows: list[list[float]] = candidates.tolist()
-    return np.array(list(dict.fromkeys((speed, up, down) for speed, up, down in rows)))
+    return np.array(list(dict.fromkeys(map(tuple, rows)))[:FINALISTS])
 
 
 def _together(*parts: Array) -> Array:

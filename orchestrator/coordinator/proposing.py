@@ -21,7 +21,9 @@ from orchestrator.model.report import Predicted
 
 ROUNDS = 3
 END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
-SOON_S = 20e-6  # a member that ends so much later, the fiftieth of a servo tick, is not worth another round
+# A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
+# SMC-4000 make moves of a tenth of a second last longer by half of it.
+SOON_S = 50e-6
 ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
