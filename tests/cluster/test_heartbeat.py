@@ -1,7 +1,9 @@
 """How often a controller's adapter puts its state: as often as it polls, and not much less where it can not."""
 
+from cluster.worlds import job, outcome
+
 from orchestrator.bus.base import Sample
-from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.sync_fleets import smc4000
 from orchestrator.lab.virtual import VirtualFleet
@@ -33,3 +35,35 @@ def test_no_heartbeat_comes_beside_polls() -> None:
 def test_who_is_polled_seldom_is_heard_of_all_the_same() -> None:
     # Every second by the poll, and in between as often as silence would be noticed.
     assert 2 * SECONDS <= states_in(1.0) <= 3 * SECONDS
+
+
+def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
+    """What happens to it before it begins is not seen a slow poll later."""
+    controllers = {"a": {**smc4000(0), "state": {"idle_hz": 0.2, "moving_hz": 10.0}}}
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
+
+    async def main(clock: VirtualClock) -> None:
+        virtual = VirtualFleet(fleet, clock, 1)
+        await virtual.start()
+        await outcome(virtual, job("[{do: enable, axes: [a]}, {do: home, axes: [a]}]"))
+        told_ns: list[int] = []
+        polled_ns: list[int] = []
+
+        def see(data: bytes) -> bytes:
+            if data.startswith(b"XGO=1"):
+                told_ns.append(clock.now_ns())
+            elif data.startswith(b"QR"):
+                polled_ns.append(clock.now_ns())
+            return data
+
+        virtual.wires["a"].to_far = see
+        for number in range(3):
+            await sleep_ns(clock, number * 700 * NS_PER_MS)
+            assert (
+                await outcome(virtual, job(f"[{{do: move, to: {{a.x: {10 - 10 * (number % 2)}}}}}]"))
+            ).state == "done"
+            begun_ns = virtual.controllers["a"].motions[-1].start_ns
+            assert any(told_ns[-1] < each < begun_ns for each in polled_ns)
+        assert len(told_ns) == 3
+
+    run_virtual(main)
