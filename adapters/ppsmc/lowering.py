@@ -123,13 +123,16 @@ def _together(config: Controller, rate: float, profiles: Mapping[str, Profile], 
     planned_s = [each.duration_s for each in profiles.values() if each.start_counts != each.end_counts]
     if len(planned_s) < 2 or max(planned_s) - min(planned_s) > _ALIKE_S:
         return first
-    wanted_s = planned_s[0] * rate
+    wanted_s, asked = planned_s[0] * rate, 1.0
     for _ in range(_FITS // len(planned_s)):
         durations_s = [each.shape.duration_s for each in moves if each.shape is not None]
         if max(durations_s) - min(durations_s) <= _ALIKE_S:
             return moves
+        factor = max(durations_s) / wanted_s
+        if factor == asked:  # one can not be so slow
+            return first
         try:
-            moves = stretched(max(durations_s) / wanted_s)
+            moves, asked = stretched(factor), factor
         except CannotDo:  # beyond what a slower one of them can make: the first answer says how far they are apart
             return first
     return first
