@@ -1,8 +1,14 @@
 """Work spread over real processes."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+from children import wait_until
 from click.testing import CliRunner
 
 from orchestrator.cli.main import main
@@ -25,3 +31,27 @@ def test_two_processes_measure_what_one_does() -> None:
     alone, both = [CliRunner().invoke(main, [*asked, "--processes", n]) for n in ("1", "2")]
     assert alone.exit_code == both.exit_code == 0, both.output
     assert json.loads(both.stdout) == json.loads(alone.stdout)
+
+
+def test_workers_end_with_their_parent() -> None:
+    code = "from orchestrator.lab.workers import spread; from time import sleep\n"
+    code += "if __name__ == '__main__':\n for k in spread(sleep, [0, 0, 600, 600], 2): print(k, flush=True)"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() and parent.stdout.readline()
+        workers = [int(pid) for pid in Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()]
+        assert len(workers) >= 2
+        parent.kill()
+    try:
+        wait_until(lambda: not any(runs(pid) for pid in workers), "the end of the workers")
+    finally:
+        for pid in filter(runs, workers):
+            os.kill(pid, signal.SIGKILL)
+
+
+def runs(pid: int) -> bool:
+    """Whether a process is there, and not merely its entry that nobody has asked for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
