@@ -265,6 +265,8 @@ class _Play:
 
     async def _repaired(self, client: Tutti) -> bool:
         """Enable and home what the fault has left off, or without its place."""
+        # What was broken may have been noticed only after it was mended.
+        await self._ready(client)
         states = await client.status()
         axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
         off = [name for name, each in axes if not each.enabled]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Protocol
 
+from orchestrator.clock.base import sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import LinkClosed, LinkRefused, Received
 
@@ -65,7 +66,8 @@ def can_wire(hold_ns: int = 0) -> WireModel:
 class MemoryWire:
     """The wire to one port of one simulated controller. Faults are injected here, from outside.
 
-    far_context: the context of the process that the controller lives in. late_ns: when lines to the controller were
+    far_context: the context of the process that the controller lives in. closed_ns: when it hears, or has heard, that
+    the last link was closed. late_ns: when lines to the controller were
     written that were longer on their way than latency and jitter, by the tail.
     """
 
@@ -81,6 +83,7 @@ class MemoryWire:
     to_far: Callable[[bytes], bytes] | None = None
     to_near: Callable[[bytes], bytes] | None = None
     links: "list[MemoryLink]" = field(default_factory=list["MemoryLink"])
+    closed_ns: int = 0
     late_ns: list[int] = field(default_factory=list[int])
     draw: Random = field(init=False)
     _outside: Context = field(init=False, default_factory=Context)
@@ -92,6 +95,9 @@ class MemoryWire:
         """A link from the calling process. Raises `LinkRefused`."""
         if self.refuse:
             raise LinkRefused(f"{self.place}: connection refused; is the controller switched on?")
+        if self.closed_ns > self.clock.now_ns():
+            # A port can be opened again at once, and what a connection has said last comes before the next one.
+            await sleep_until_ns(self.clock, self.closed_ns)
         link = MemoryLink(self)
         opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
@@ -235,4 +241,7 @@ class MemoryLink:
         self._shut()
         far = self._far
         if far is not None:
-            self._wire.later(self._wire.clock.now_ns() + self._wire.delay_ns(), lambda: self._wire.run_far(far.close))
+            wire = self._wire
+            closed_ns = wire.clock.now_ns() + wire.delay_ns()
+            wire.closed_ns = max(wire.closed_ns, closed_ns)
+            wire.later(closed_ns, lambda: wire.run_far(far.close))

@@ -1,4 +1,4 @@
-"""A wire in memory tells which lines were longer on their way to a controller than it promises."""
+"""A wire in memory: which lines were longer on their way than it promises, and a port that is opened again at once."""
 
 from collections.abc import Callable
 from contextvars import copy_context
@@ -10,22 +10,26 @@ from orchestrator.link.memory import LAN, FarConnection, MemoryWire
 
 
 class Echo:
-    """Answers each line with itself. arrived_ns: when lines have come."""
+    """Answers each line with itself. arrived_ns: when lines have come. taken: its one port is open."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.arrived_ns: list[int] = []
+        self.taken = False
         self._clock = clock
         self._send: Callable[[bytes], None] = lambda _: None
 
     def connect(self, port: str, send: Callable[[bytes], None], closed: Callable[[], None]) -> FarConnection:
-        self._send = send
+        if self.taken:
+            raise ValueError("the port is in use")
+        self._send, self.taken = send, True
         return self
 
     def receive(self, data: bytes) -> None:
         self.arrived_ns.append(self._clock.now_ns())
         self._send(data)
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self.taken = False
 
 
 def test_lines_that_the_tail_has_kept_are_told_and_answers_are_not() -> None:
@@ -40,5 +44,16 @@ def test_lines_that_the_tail_has_kept_are_told_and_answers_are_not() -> None:
         usual_ns = LAN.latency_ns + LAN.jitter_ns
         late_ns = [sent for sent, arrived in zip(sent_ns, echo.arrived_ns, strict=True) if arrived - sent > usual_ns]
         assert 0 < len(late_ns) < 15 and wire.late_ns == late_ns
+
+    run_virtual(main)
+
+
+def test_a_port_can_be_opened_as_soon_as_it_is_closed() -> None:
+    """The controller hears of the one before the other, like bytes."""
+
+    async def main(clock: VirtualClock) -> None:
+        wire = MemoryWire(clock, LAN, Echo(clock), "serial", "unit", copy_context())
+        for _ in range(20):
+            await (await wire.open()).close()
 
     run_virtual(main)
