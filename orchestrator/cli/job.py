@@ -76,6 +76,7 @@ for command in (list_jobs, prune, hold, release, move, pause, resume, retry):
 def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
     """Show a job: its steps and how it came to its state."""
     from orchestrator.client import Tutti
+    from orchestrator.monitor.step_text import step_text
 
     async def act(tutti: Tutti) -> None:
         shown = await tutti.show(job_id)
@@ -86,8 +87,9 @@ def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
         console.print(f"job {shown.entry.id} {shown.entry.name!r} of {shown.entry.actor}: {shown.entry.state}")
         for line in entry_lines(shown.entry):
             console.print(line, highlight=False, markup=False)
+        went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in enumerate(shown.job.steps if shown.job else []):
-            console.print(f"  {index} {step.do} {step.name or ''}", highlight=False)
+            console.print(f"  {index} {step_text(step, went.get(index))}", highlight=False, markup=False)
         for change in shown.transitions:
             console.print(
                 f"{change.utc} {change.state} {change.reason} ({change.actor})", highlight=False, markup=False

@@ -24,6 +24,9 @@ def list_jobs(
     connect: str, fleet: str | None, as_json: bool, limit: int, state: str | None, name: str, since: datetime | None
 ) -> None:
     """List the newest jobs. #: the place in the queue of those that wait."""
+    from rich.padding import Padding
+    from rich.text import Text
+
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
     from orchestrator.monitor.tables import plain_table
@@ -35,12 +38,19 @@ def list_jobs(
             print_json([entry.to_plain() for entry in found.jobs])
             return
         table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
-        table.add_column("reason", overflow="fold")
         for entry in found.jobs:
             place = "" if entry.place is None else str(entry.place)
             submitted = entry.submitted_utc[:19].replace("T", " ")
-            table.add_row(entry.id, entry.name, entry.actor, place, entry.state, submitted, entry.reason)
-        console.print(table)
+            table.add_row(entry.id, entry.name, entry.actor, place, entry.state, submitted)
+        with console.capture() as drawn:
+            console.print(table)
+        head, *rows = drawn.get().splitlines()
+        console.print(Text.from_ansi(head))
+        # A reason is a sentence: a line of its own, because beside the rest 80 columns leave it no room.
+        for row, entry in zip(rows, found.jobs, strict=True):
+            console.print(Text.from_ansi(row))
+            if entry.reason:
+                console.print(Padding(Text(entry.reason, "dim"), (0, 0, 0, 10), expand=False))
         if found.total > len(found.jobs):
             console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
 
