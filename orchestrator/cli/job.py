@@ -76,7 +76,7 @@ for command in (list_jobs, prune, hold, release, move, pause, resume, retry):
 def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
     """Show a job: its steps and how it came to its state."""
     from orchestrator.client import Tutti
-    from orchestrator.monitor.step_text import step_text
+    from orchestrator.model.step_words import step_words
 
     async def act(tutti: Tutti) -> None:
         shown = await tutti.show(job_id)
@@ -89,7 +89,10 @@ def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in enumerate(shown.job.steps if shown.job else []):
-            console.print(f"  {index} {step_text(step, went.get(index))}", highlight=False, markup=False)
+            line = f"  {index} {step_words(step)}"
+            if (over := went.get(index)) is not None:
+                line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
+            console.print(line, highlight=False, markup=False)
         for change in shown.transitions:
             console.print(
                 f"{change.utc} {change.state} {change.reason} ({change.actor})", highlight=False, markup=False

@@ -15,6 +15,7 @@ from orchestrator.model.messages import Refusal
 from orchestrator.model.queue import MOST_STEPS, Terms, format_utc, parse_utc
 from orchestrator.model.report import ENDED
 from orchestrator.model.service import Again, AgainReply, AxisNow, Prune, Submit, Submitted
+from orchestrator.model.step_words import step_words
 
 WORDS = 20  # remaining steps that are said in words
 
@@ -64,7 +65,7 @@ class Office:
         except UnknownName as error:
             return AgainReply(refused=Refusal(code="unknown-name", text=str(error), remedy="see `tutti axis ls`"))
         reply = AgainReply(
-            steps=[_words(request.from_step + n, step) for n, step in enumerate(steps[:WORDS])],
+            steps=[f"{n} {step_words(step)}" for n, step in enumerate(steps[:WORDS], request.from_step)],
             axes=[self._now(axis) for axis in axes],
             warnings=_warnings(request.from_step, steps),
         )
@@ -133,14 +134,6 @@ def _check_length(job: Job, terms: Terms) -> None:
             f"{len(job.steps)} steps {terms.repeat} times are {steps}; {MOST_STEPS} are possible",
             "repeat it less often, or submit several jobs",
         )
-
-
-def _words(number: int, step: Step) -> str:
-    what = ""
-    if isinstance(step, Move):
-        to = [f"{axis} to {value}" for axis, value in step.to.items()]
-        what = ", ".join(to + [f"{axis} by {value}" for axis, value in step.by.items()])
-    return " ".join(part for part in (f"{number} {step.do}", step.name or "", what) if part)
 
 
 def _warnings(first: int, steps: list[Step]) -> list[str]:

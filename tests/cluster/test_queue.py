@@ -226,7 +226,7 @@ def test_an_ended_job_is_done_again_from_a_step() -> None:
         here = fleet.controllers["gantry"].position("X") / 1000
         assert 30 < here < 390
         assert [(each.axis, each.position) for each in shown.axes] == [("gantry.x", here), ("gantry.y", 0.0)]
-        assert shown.steps == ["1 move gantry.x to 390", "2 move gantry.y by 2"]
+        assert shown.steps == ["1 move to gantry.x=390, speed=0.1", "2 move by gantry.y=2"]
         assert shown.warnings == ["step 2 moves gantry.y by a distance, from where it stands now"]
         assert len((await client.jobs()).jobs) == 2
         fresh = (await client.again(job_id, 1, client_key="k")).job_id

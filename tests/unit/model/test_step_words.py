@@ -4,8 +4,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from orchestrator.model.job import Step
-from orchestrator.model.report import StepReport
-from orchestrator.monitor.step_text import step_text
+from orchestrator.model.step_words import step_words
 
 STEPS = TypeAdapter[Step](Step)
 
@@ -24,10 +23,4 @@ STEPS = TypeAdapter[Step](Step)
     ],
 )
 def test_a_step_says_what_its_file_says(plain: dict[str, object], text: str) -> None:
-    assert step_text(STEPS.validate_python(plain)) == text
-
-
-def test_a_step_that_is_over_says_how_it_went() -> None:
-    step = STEPS.validate_python({"do": "dwell", "duration": "300 ms"})
-    report = StepReport(index=0, do="dwell", name="", state="failed", reason="the fleet was stopped")
-    assert step_text(step, report) == "dwell duration=300 ms: failed (the fleet was stopped)"
+    assert step_words(STEPS.validate_python(plain)) == text

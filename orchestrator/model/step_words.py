@@ -4,17 +4,13 @@ import json
 
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.job import Step
-from orchestrator.model.report import StepReport
 
 
-def step_text(step: Step, report: StepReport | None = None) -> str:
-    """What its file says, without what is left to defaults, and how it went: `move to gantry.x=120: done`."""
+def step_words(step: Step) -> str:
+    """What its file says, without what is left to defaults: `move to gantry.x=120 stage.u=6, speed=0.5`."""
     said = step.model_dump(mode="json", exclude_defaults=True, exclude={"do", "name"})
     what = ", ".join(_words(key, value) for key, value in said.items())
-    text = " ".join(part for part in (step.do, step.name and f"'{step.name}'", what) if part)
-    if report is None:
-        return text
-    return f"{text}: {report.state}" + (f" ({report.reason})" if report.reason else "")
+    return " ".join(part for part in (step.do, step.name and f"'{step.name}'", what) if part)
 
 
 def _words(key: str, value: dict[str, object] | list[str] | str | float | None) -> str:
