@@ -147,8 +147,11 @@ class Jogging:
             return
         for axis in jogging:
             self._forget(axis, self._jogs[axis], reason)
-        slowest_s = max(self._slow_down_s(axis) for axis in jogging)
-        self._condition.stopping_until_ns = self._clock.now_ns() + math.ceil(slowest_s * 1e9)
+        slowest_ns = math.ceil(max(self._slow_down_s(axis) for axis in jogging) * 1e9)
+        takes_ns = max(slowest_ns, self._driver.capabilities.costs.stop_ns)
+        # An order may have been on its way: it is not at rest before somebody has seen it.
+        self._condition.stopped_ns = self._clock.now_ns()
+        self._condition.stopping_until_ns = self._condition.stopped_ns + takes_ns
         await self._driver.stop_axes(jogging)
         self._changed()
 

@@ -3,19 +3,23 @@
 # pyright: reportPrivateUsage=false
 
 import asyncio
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from adapters.condition import STARTING, Condition
-from adapters.contract import AxisReading, Reading
+from adapters.contract import AxisReading, Driver, Reading
+from adapters.jogging import Jogging
 from adapters.presenter import Presenter
 from adapters.seat import Seat
 from adapters.unit import Unit
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import JogRequest
 
 CONFIG = Controller.model_validate(
     {
@@ -57,6 +61,38 @@ def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
     )
     presenter = Presenter(cast(Seat, seat), absent, absent, condition, lambda: None, lambda: following, dict)
     assert presenter.mode() == mode
+
+
+def test_who_jogged_rests_only_when_somebody_has_seen_it() -> None:
+    """The order to begin may have been on its way when the key was let go."""
+
+    async def main(clock: VirtualClock) -> None:
+        condition = Condition(CONFIG, faults=[])
+
+        async def takes(span_ns: int, *_: object) -> None:
+            await sleep_ns(clock, span_ns)
+
+        driver = SimpleNamespace(
+            capabilities=SimpleNamespace(costs=SimpleNamespace(stop_ns=NS_PER_S)),
+            jog=partial(takes, NS_PER_S // 10),
+            stop_axes=partial(takes, 0),
+        )
+        absent: Any = None
+        seat = SimpleNamespace(
+            controller="c", config=CONFIG, driver=driver, bus=absent, keys=absent, clock=clock, instance="i"
+        )
+        presenter = Presenter(cast(Seat, seat), absent, absent, condition, lambda: None, lambda: False, dict)
+        condition.referenced["x"] = True
+        condition.reading = Reading(clock.now_ns(), {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
+        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        velocities = {"x": 0.2}
+        request = JogRequest(request_id="r", actor="a", holder="hand-a", seq=1, velocities=velocities, valid_ms=50)
+        await jogging.jog(request)
+        assert presenter.mode() == "stopping"
+        condition.reading = replace(condition.reading, at_ns=clock.now_ns())
+        assert presenter.mode() == "idle"
+
+    run_virtual(main)
 
 
 def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
