@@ -277,16 +277,25 @@ class Judge:
             self.violate("3", f"{label} moved {_s(end_ns - broken_ns)} after {act.fault.name} of {act.member}")
 
     def _judge_lease(self, label: str, name: str, axis: str, motion: Motion, step: _Step) -> None:
-        """Invariant 7: the job of the step had the lease of the axis when it began to move."""
-        said = [
+        """Invariant 7: the job of the step had the lease of the axis when it began to move, and nobody else until it
+        rested."""
+        given = [
             each
             for each in self._witness.of("lease")
-            if each.member == name and axis in each.said["axes"] and each.asked_ns <= motion.start_ns
+            if each.member == name and axis in each.said["axes"] and each.said["ttl_ms"] and each.taken
         ]
-        given = [each for each in said if each.said["ttl_ms"] and each.taken]
-        if not given or given[-1].said["holder"] != step.job:
-            holder = given[-1].said["holder"] if given else "nobody"
+        before = [each for each in given if each.asked_ns <= motion.start_ns]
+        if not before or before[-1].said["holder"] != step.job:
+            holder = before[-1].said["holder"] if before else "nobody"
             self.violate("7", f"{label} moved for job {step.job} while {holder} held it")
+        epoch = before[-1].said["epoch"] if before else 0
+        for each in given[len(before) :]:
+            # A new reign knows nothing of who was there before; its jobs wait for what still brakes.
+            other = each.said["holder"] != step.job and each.said["epoch"] == epoch
+            if motion.end_ns is not None and each.asked_ns < motion.end_ns and other:
+                late_ns = motion.end_ns - each.asked_ns
+                self.violate("7", f"{label} moved for {_s(late_ns)} more when {each.said['holder']} took it")
+                break
 
     def _done(self, report: JobReport | None) -> list[tuple[int, int]]:
         """Index and T0 (host ns) of the steps of a job that came to their end."""
