@@ -84,15 +84,18 @@ def sync(
     console.print(
         "of starts; bound: the p99 that nobody can do better than; end, path: p99 at the end and on the way\n"
     )
-    table = plain_table(["said of the starts, ms", "budget>", "width>", "asked>", "trials>", "missed>"])
+    table = plain_table(["said of the starts, ms", "budget>", "width>", "asked>", "trials>", "missed>", "late>"])
     for row in rows:
         if row.misses is not None:
             figures = (row.budget, row.width, row.width_most)
-            table.add_row(f"{row.fleet}, {row.way}", *map(_figure, figures), str(row.trials), str(row.misses))
+            table.add_row(
+                f"{row.fleet}, {row.way}", *map(_figure, figures), str(row.trials), str(row.misses), str(row.late)
+            )
     console.print(table)
     console.print(
         "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and what is asked of it; "
-        "missed: verdicts that do not hold the truth\n"
+        "missed: verdicts that do not hold the truth; late: a wire kept a line for longer than its adapter counts on, "
+        "and only what the controllers have shown has to hold\n"
     )
     for row in rows:
         if row.asked:

@@ -346,10 +346,7 @@ class Judge:
 
     def _came_late(self, name: str, member: MemberReport, start_ns: int) -> bool:
         """Whether what started the member may have been longer on its way than its wire promises."""
-        late_ns = self._fleet.wires[name].late_ns
-        return member.start_class in ("host", "sync") and any(
-            start_ns - WINDOW_NS < each <= start_ns for each in late_ns
-        )
+        return member.start_class in ("host", "sync") and self._fleet.wires[name].kept_a_start(start_ns)
 
     def _truth(self, act: Act, name: str, motor: str, t0_host_ns: int) -> list[Motion]:
         """The motions of an axis in the step that begins at T0, up to the next step. Slow ones are made of pieces."""

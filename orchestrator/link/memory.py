@@ -49,6 +49,8 @@ class WireModel:
 
 
 LAN = WireModel()
+PROMISED_NS = 1_000_000  # what adapters count on for a line of theirs, if told nothing else (`wire_jitter_us`)
+STARTED_BY_NS = 300_000_000  # of the lines before a start, any may be what starts it, or keep up the one that does
 
 
 def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
@@ -124,6 +126,10 @@ class MemoryWire:
         """Call `callback` at `at_ns` as a thing of the wire, which no process can hang."""
         self.clock.call_at_ns(at_ns, callback, self._outside)
 
+    def kept_a_start(self, start_ns: int) -> bool:
+        """Whether a line that may have had to do with a start at that instant was late: nobody can know of it."""
+        return any(start_ns - STARTED_BY_NS < each <= start_ns for each in self.late_ns)
+
     def delay_ns(self) -> int:
         """One draw of the latency."""
         model = self.model
@@ -175,7 +181,7 @@ class MemoryLink:
         for line in data.splitlines(keepends=True):
             self._out_free_ns = max(self._out_free_ns, now_ns) + len(line) * wire.model.char_ns
             delay_ns = wire.delay_ns()
-            if delay_ns > wire.model.latency_ns + wire.model.jitter_ns:
+            if delay_ns > PROMISED_NS:
                 wire.late_ns.append(now_ns)
             arrival_ns = max(self._out_free_ns + delay_ns, self._last_far_ns)
             self._last_far_ns = arrival_ns

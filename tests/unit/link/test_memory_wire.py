@@ -4,9 +4,9 @@ from collections.abc import Callable
 from contextvars import copy_context
 from dataclasses import replace
 
-from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.link.memory import LAN, FarConnection, MemoryWire
+from orchestrator.link.memory import LAN, PROMISED_NS, FarConnection, MemoryWire
 
 
 class Echo:
@@ -41,9 +41,10 @@ def test_lines_that_the_tail_has_kept_are_told_and_answers_are_not() -> None:
         for _ in range(50):
             sent_ns.append(link.write(b"?\r"))
             await sleep_ns(clock, 20 * NS_PER_MS)
-        usual_ns = LAN.latency_ns + LAN.jitter_ns
-        late_ns = [sent for sent, arrived in zip(sent_ns, echo.arrived_ns, strict=True) if arrived - sent > usual_ns]
+        late_ns = [sent for sent, came in zip(sent_ns, echo.arrived_ns, strict=True) if came - sent > PROMISED_NS]
         assert 0 < len(late_ns) < 15 and wire.late_ns == late_ns
+        assert wire.kept_a_start(late_ns[0]) and wire.kept_a_start(late_ns[0] + 200 * NS_PER_MS)
+        assert not wire.kept_a_start(late_ns[0] - 1) and not wire.kept_a_start(late_ns[-1] + NS_PER_S)
 
     run_virtual(main)
 
