@@ -16,7 +16,7 @@ class Condition:
     look for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not
     open yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last
     told to stop; stop_unseen: it has not been seen at rest since; begun_by_ns: when what was loaded then would have
-    begun. restarts: of the controller, as far as polls have shown them."""
+    begun. may_move: its link broke in motion or before one, and nobody has seen it since. restarts: of the controller, as far as polls have shown them."""
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
@@ -30,6 +30,7 @@ class Condition:
     stopped_ns: int = 0
     stop_unseen: bool = False
     begun_by_ns: int = 0
+    may_move: bool = False
     restarts: int = 0
 
     def __post_init__(self) -> None:

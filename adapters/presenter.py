@@ -152,7 +152,7 @@ class Presenter:
                 commanded_counts=0,
                 offset=offset,
                 unit=axis.unit,
-                moving=False,
+                moving=self._condition.may_move,
                 enabled=False,
                 referenced=False,
             )

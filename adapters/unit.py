@@ -226,6 +226,7 @@ class Unit:
         """Compare a fresh reading with the last one, and say what has changed."""
         condition = self._condition
         before, condition.reading = condition.reading, reading
+        condition.may_move = False
         unreferenced = self._referencing.look(reading)
         if reading.restarted:
             self._presenter.emit("fault", "the controller was restarted; its axes are not referenced any more")
@@ -302,7 +303,9 @@ class Unit:
         )
         # A move that waits for a line does so before its member is armed.
         loaded = member.ticket is not None or member.following or member.loading
-        self._stop_owed = self._stop_owed or unseen or loaded or bool(condition.jogging | condition.homing)
+        may_move = unseen or loaded or bool(condition.jogging | condition.homing)
+        condition.may_move = condition.may_move or may_move
+        self._stop_owed = self._stop_owed or may_move
         condition.homing.clear()
         self._jogging.ended_all("the link is lost")
         self._member.lost(f"the link is lost: {fault.text}")

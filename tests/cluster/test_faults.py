@@ -106,7 +106,10 @@ def test_others_stop_when_an_adapter_dies_and_is_back_before_anybody_misses_it()
     run_fleet(main, two_hosts())
 
 
-def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_then() -> None:
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_then(closed: bool) -> None:
+    """Also where the link of what moves is closed: it is stopped as soon as that is open again."""
+
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
@@ -120,8 +123,12 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
         first = await client.submit(GANTRY)
         second = await client.submit(BACK)
         await asyncio.sleep(3.0)
-        await client.cancel(first)
-        assert (await client.wait(first)).state == "cancelled"
+        if closed:
+            for link in list(fleet.wires["gantry"].links):
+                link.hang_up()
+        else:
+            await client.cancel(first)
+        assert (await client.wait(first)).state == ("failed" if closed else "cancelled")
         report = await client.wait(second)
         assert report.state == "done", report.reason
         assert rested[second]

@@ -137,11 +137,12 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
 def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did(
     read_ns: int, moving: bool, following: bool, loading: bool, owed: bool
 ) -> None:
-    """What it was told may have been lost with the link."""
+    """What it was told may have been lost with the link; until it is seen again it may move."""
     reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
+    condition = Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS)
     unit = SimpleNamespace(
         controller="c",
-        _condition=Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS),
+        _condition=condition,
         _member=SimpleNamespace(ticket=None, following=following, loading=loading, lost=nothing),
         _jogging=SimpleNamespace(ended_all=nothing),
         _presenter=SimpleNamespace(emit=nothing),
@@ -150,3 +151,4 @@ def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did
     )
     Unit._offline(cast(Unit, unit), STARTING)
     assert unit._stop_owed is owed
+    assert condition.may_move is owed
