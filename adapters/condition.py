@@ -12,11 +12,12 @@ STARTING = Fault(code="starting", text="the adapter has not reached the controll
 
 @dataclass(slots=True)
 class Condition:
-    """reading: the last poll, None while the controller can not be reached. referenced: by axis. homing: axes that
-    look for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not
-    open yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last
-    told to stop; stop_unseen: it has not been seen at rest since; begun_by_ns: when what was loaded then would have
-    begun. may_move: its link broke in motion or before one, and nobody has seen it since. restarts: of the controller, as far as polls have shown them."""
+    """reading: the last poll, None while the controller can not be reached. referenced: by axis. homing: axes that look
+    for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not open
+    yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last told
+    to stop; stop_unseen: it has not been seen at rest since; begun_by_ns: when what was loaded then would have begun.
+    may_move: its link broke in motion or before one, and nobody has seen it since. restarts: of the controller, as far
+    as polls have shown them."""
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
