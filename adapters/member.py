@@ -86,6 +86,8 @@ class Member:
         self._interruptions = 0
         self._followed = 0
         self.ticket: Ticket | None = None
+        self.stop_owed = False
+        """What was released, and has failed, could not be stopped yet."""
 
     # The way of a step
 
@@ -234,11 +236,18 @@ class Member:
         ticket, self.ticket = self.ticket, None
         if ticket is not None:
             self._emit("failed", reason, ticket)
-            await self._driver.stop(False)
+            await self._stop_failed()
+
+    async def _stop_failed(self) -> None:
+        """Stop what has failed. Raises `LinkClosed`, `DriverFault`: the stop is owed, then."""
+        self.stop_owed = True
+        await self._driver.stop(False)
+        self.stop_owed = False
 
     def lost(self, reason: str) -> None:
         """The controller can not be reached any more, or has forgotten the step."""
         self._interruptions += 1
+        self.stop_owed = False
         ticket, self.ticket = self.ticket, None
         if ticket is not None:
             self._emit("failed", reason, ticket)
@@ -311,8 +320,8 @@ class Member:
         except (DriverFault, LinkClosed, CannotDo) as error:
             if self.ticket is not None and self.ticket.t0_fleet_ns == ticket.t0_fleet_ns:
                 self.lost(str(error))
-                if isinstance(error, DriverFault):
-                    await self._driver.stop(False)
+                if not isinstance(error, CannotDo):
+                    await self._stop_failed()
             if isinstance(error, DriverFault):
                 async with self._turn:  # not while the next step is armed
                     if self.ticket is None:

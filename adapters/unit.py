@@ -302,7 +302,7 @@ class Unit:
             before.at_ns < condition.stopped_ns or any(axis.moving for axis in before.axes.values())
         )
         # A move that waits for a line does so before its member is armed.
-        loaded = member.ticket is not None or member.following or member.loading
+        loaded = member.ticket is not None or member.following or member.loading or member.stop_owed
         may_move = unseen or loaded or bool(condition.jogging | condition.homing)
         condition.may_move = condition.may_move or may_move
         self._stop_owed = self._stop_owed or may_move

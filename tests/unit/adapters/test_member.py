@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from typing import Any, Literal, cast
 
 import pytest
@@ -12,6 +13,7 @@ from adapters.settling import Settled
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import Arm, Commit, Go
 from orchestrator.model.state import Costs, EventKind
 
@@ -30,6 +32,7 @@ class Scripted:
         self.begun: asyncio.Future[Mapping[str, Span]] = loop.create_future()
         self.rested: asyncio.Future[Outcome] = loop.create_future()
         self.refuses_go: Exception | None = None
+        self.closed = False
 
     def mapping(self) -> None:
         return None
@@ -50,6 +53,8 @@ class Scripted:
             raise self.refuses_go
 
     async def stop(self, abort: bool) -> None:
+        if self.closed:
+            raise LinkClosed("the port is closed")
         self.told.append("abort" if abort else "stop")
 
     async def disarm(self) -> None:
@@ -83,7 +88,7 @@ class Desk:
             scale=lambda: FleetScale("s", 0),
             emit=self._emit,
             settle=self._settle,
-            spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(coroutine)),
+            spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
             lowering=asyncio.Lock(),
         )
 
@@ -108,6 +113,11 @@ class Desk:
 
     def _ref(self, step: int) -> dict[str, Any]:
         return {"request_id": "r", "actor": "a", "epoch": 1, "coordinator": "k", "job": "j", "step": step}
+
+
+async def _survive(coroutine: Coroutine[Any, Any, None]) -> None:
+    with suppress(LinkClosed):
+        await coroutine
 
 
 def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
@@ -141,6 +151,23 @@ def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_
         assert "outcome" not in desk.driver.told and not desk.member.following
         ticket = desk.member.ticket
         assert ticket is not None and (ticket.step, ticket.phase) == (1, Phase.ARMED)
+
+    run(body)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_who_was_told_to_go_is_stopped_when_its_link_breaks_or_owes_that(closed: bool) -> None:
+    """Its line may be open again by then, for others that are on it."""
+
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        desk.driver.closed = closed
+        desk.driver.begun.set_exception(LinkClosed("the port is closed"))
+        await desk.later()
+        assert desk.said == ["failed"]
+        assert desk.member.stop_owed is closed and ("stop" in desk.driver.told) is not closed
+        desk.member.lost("the link is lost")
+        assert not desk.member.stop_owed
 
     run(body)
 

@@ -125,25 +125,27 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("read_ns", "moving", "following", "loading", "owed"),
+    ("read_ns", "moving", "member", "owed"),
     [
-        (900, False, False, False, True),
-        (1001, True, False, False, True),
-        (1001, False, True, False, True),
-        (1001, False, False, True, True),
-        (1001, False, False, False, False),
+        (900, False, "", True),
+        (1001, True, "", True),
+        (1001, False, "following", True),
+        (1001, False, "loading", True),
+        (1001, False, "stop_owed", True),
+        (1001, False, "", False),
     ],
 )
 def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did(
-    read_ns: int, moving: bool, following: bool, loading: bool, owed: bool
+    read_ns: int, moving: bool, member: str, owed: bool
 ) -> None:
     """What it was told may have been lost with the link; until it is seen again it may move."""
     reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
     condition = Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS)
+    parts = ("following", "loading", "stop_owed")
     unit = SimpleNamespace(
         controller="c",
         _condition=condition,
-        _member=SimpleNamespace(ticket=None, following=following, loading=loading, lost=nothing),
+        _member=SimpleNamespace(ticket=None, lost=nothing, **{each: each == member for each in parts}),
         _jogging=SimpleNamespace(ended_all=nothing),
         _presenter=SimpleNamespace(emit=nothing),
         _log=SimpleNamespace(warning=nothing),
