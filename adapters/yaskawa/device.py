@@ -52,6 +52,11 @@ class Device:
         self._stops_given = [0] * len(AXIS_LETTERS)
         self._stop_given = asyncio.Event()
 
+    @property
+    def sharing(self) -> int:
+        """How many controllers take turns on its line."""
+        return 1
+
     # Reaching it
 
     async def connect(self) -> Identity:

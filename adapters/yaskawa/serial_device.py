@@ -56,6 +56,10 @@ class SerialDevice(Device):
         """Sample and positions of the last line."""
         line.units.add(unit)
 
+    @property
+    def sharing(self) -> int:
+        return len(self._line.units)
+
     # Reaching it
 
     async def connect(self) -> Identity:

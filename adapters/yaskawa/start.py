@@ -18,6 +18,7 @@ TICKS_MAX = 2_147_483_647  # L10613
 STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
+FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
 SETTLE_NS = 5 * NS_PER_MS
 
 
@@ -109,7 +110,9 @@ class Start:
 
     def _food(self, ticks: int) -> str:
         """What keeps the dog quiet until some time after sample `ticks`."""
-        patience = round(self._options.watchdog_s * NS_PER_S / self._device.samples.tick_ns)
+        # On a line of many, one of its turns comes after those of all the others.
+        patience_s = self._options.watchdog_s * max(1.0, self._device.sharing / FED_IN_TIME)
+        patience = round(patience_s * NS_PER_S / self._device.samples.tick_ns)
         return f"XDL={min(ticks + patience, TICKS_MAX)}"
 
     async def _wait_for_program(self, loaded: _Loaded) -> None:

@@ -1,6 +1,7 @@
 """Three SMC-2000 on one daisy chain and an SMC-4000: one fleet, judged by the simulators' truth."""
 
 import asyncio
+import json
 from typing import Any
 
 import pytest
@@ -8,6 +9,7 @@ from cluster.worlds import EXAMPLES, job, outcome
 from cluster.worlds import run_fleet as run_any
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.lab.sync_fleets import sync_fleet
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
@@ -141,3 +143,16 @@ def test_a_chain_whose_first_unit_is_off_is_offline_as_a_whole_and_says_so():
         assert states["turner"].axes["x"].referenced and states["outlet"].axes["x"].referenced
 
     run_fleet(main)
+
+
+def test_eight_units_that_begin_together_are_not_taken_for_silent_while_each_is_asked_in_its_turn():
+    fleet = sync_fleet("8 SMC-2000, one chain", 1)
+    axes = [f"{name}.x" for name in fleet.controllers]
+
+    async def main(virtual: VirtualFleet) -> None:
+        move = {"do": "move", "by": dict.fromkeys(axes, 100.0), "speed": 0.3}
+        steps = [{"do": "enable", "axes": axes}, {"do": "home", "axes": axes}, move]
+        report = await outcome(virtual, job(json.dumps(steps), max_start_skew="50 ms"))
+        assert report.state == "done", report.reason
+
+    run_fleet(main, fleet)
