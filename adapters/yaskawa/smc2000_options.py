@@ -24,8 +24,8 @@ class Smc2000Options(Options):
         default=1.5,
         ge=0.25,
         le=60,
-        description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s; on "
-        "a chain of more than three, for as much longer as it has more units.",
+        description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s; "
+        "on a chain of more than three, for as much longer as it has more units.",
     )
     array_elements: int = Field(
         default=8000, ge=100, le=8000, description="Elements of the controller's arrays that contours may take (L8261)."
