@@ -30,10 +30,11 @@ def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
         colour = COLOUR_OLD if ": old" in name else COLOUR_NEW
         axes.plot([low, high], [row, row], color=colour, linewidth=5, solid_capstyle="round")
         axes.plot([middle], [row], "|", color="black", markersize=11)
-        axes.annotate(f"{high:.2g} ms", (high, row), xytext=(7, -3), textcoords="offset points", fontsize=8)
+        words = f"{high:.2g} ms" if high < 100 else f"{high:.0f} ms"
+        axes.annotate(words, (high, row), xytext=(7, -3), textcoords="offset points", fontsize=8)
     axes.set_yticks(range(len(skews_ms)), [*reversed(list(skews_ms))])
     axes.set_xscale("log")
     axes.set_xlabel("start skew, ms: first to 99th percentile, the mark is the median (the old ways grey)")
     axes.grid(axis="x", which="both", alpha=0.3)
-    axes.margins(x=0.12)
+    axes.margins(x=0.15)
     figure.savefig(path)
