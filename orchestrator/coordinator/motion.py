@@ -200,11 +200,7 @@ class Motion:
             try:
                 await self._arm(moving, step)
                 await self._judge_frozen(moving, job, step)
-                # Commit and go need their time too, and after it a failure must still leave time to disarm.
-                needs_ns = pace.margin_ns // 2 + moving.disarm_ns
-                if self._throne.fleet_now_ns() + needs_ns >= moving.t0_fleet_ns:
-                    await self._disarm(moving)
-                    raise Refuse("late", "arming took longer than was allowed for")
+                await self._require_time(moving, pace.release_ns, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
                 # Who does not answer may be busy; but a decision stands for one start alone.
@@ -229,6 +225,9 @@ class Motion:
         if lost is not None:
             await self._disarm(moving)
             raise Refuse("permit", lost, "bring it about, then submit again")
+        # Behind the decision who is late has failed; before it, all are armed again.
+        pace, promised_ns = self._proposing.pace, self._clock.now_ns()
+        await self._require_time(moving, pace.go_ns, "promises took longer than was allowed for")
         await self._runs(
             self._journal.decide,
             moving.job_id,
@@ -244,9 +243,15 @@ class Motion:
         moving.decided = True
         await on_state("committed", "")
         await self._go(moving)
-        self._proposing.pace.released(self._clock.now_ns() - armed_ns)
+        pace.released(self._clock.now_ns() - armed_ns, self._clock.now_ns() - promised_ns)
         declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
-        self._proposing.pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
+        pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
+
+    async def _require_time(self, moving: Moving, needs_ns: int, late: str) -> None:
+        """For what is still to be done, and then for unloading all if that fails. Raises `Refuse`: all are unloaded."""
+        if self._throne.fleet_now_ns() + needs_ns + moving.disarm_ns >= moving.t0_fleet_ns:
+            await self._disarm(moving)
+            raise Refuse("late", late)
 
     async def _await_alignment(self, moving: Moving, step: Move) -> None:
         """Wait until arming leads to the moment at which the members' ticks fall closest together. They are asked
@@ -468,13 +473,7 @@ class Motion:
     async def stop(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
         """Stop members, all at once; who does not answer is logged."""
         requests = {
-            member: Stop(
-                request_id=self._members.new_id(),
-                actor=actor,
-                mode=mode,
-                reason=reason,
-            )
-            for member in members
+            member: Stop(request_id=self._members.new_id(), actor=actor, mode=mode, reason=reason) for member in members
         }
         replies = await self._ask_all("stop", requests, Reply)
         for member, reply in replies.items():

@@ -22,6 +22,7 @@ class Pace:
     def __init__(self) -> None:
         self._shares: dict[str, deque[float]] = {}
         self._releases_ns: deque[int] = deque(maxlen=KEPT)
+        self._goes_ns: deque[int] = deque(maxlen=KEPT)
 
     def armed(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
         """Members have been armed, each in so long."""
@@ -29,15 +30,17 @@ class Pace:
             if declared_ns[member] > 0:
                 self._shares.setdefault(member, deque(maxlen=KEPT)).append(took / declared_ns[member])
 
-    def released(self, took_ns: int) -> None:
-        """From armed to the last answer to `go`."""
+    def released(self, took_ns: int, go_ns: int) -> None:
+        """From armed to the last answer to `go`, and from the decision on."""
         self._releases_ns.append(took_ns)
+        self._goes_ns.append(go_ns)
 
     def late(self, members: Mapping[str, object]) -> None:
         """Somebody was late: what is known of these members counts no more."""
         for member in members:
             self._shares.pop(member, None)
         self._releases_ns.clear()
+        self._goes_ns.clear()
 
     def share(self, member: str) -> float:
         """The part of its declared arming that a member needs; 1 until it has been armed `KEPT` times."""
@@ -45,8 +48,22 @@ class Pace:
         return min(1.0, ROOM * max(shares)) if len(shares) == KEPT else 1.0
 
     @property
+    def release_ns(self) -> int:
+        """What promise, decision and release have needed at the most; half their time until it is known."""
+        return max(self._releases_ns) if self._known else MARGIN_NS // 2
+
+    @property
+    def go_ns(self) -> int:
+        """What decision and release alone are given."""
+        return round(ROOM * max(self._goes_ns)) if self._known else MARGIN_NS // 2
+
+    @property
     def margin_ns(self) -> int:
-        """What promise, decision and release need."""
-        if len(self._releases_ns) < KEPT:
+        """What promise, decision and release are given."""
+        if not self._known:
             return MARGIN_NS
-        return min(MARGIN_NS, max(LEAST_MARGIN_NS, round(ROOM * max(self._releases_ns))))
+        return min(MARGIN_NS, max(LEAST_MARGIN_NS, round(ROOM * self.release_ns)))
+
+    @property
+    def _known(self) -> bool:
+        return len(self._releases_ns) == KEPT

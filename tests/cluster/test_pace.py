@@ -68,7 +68,7 @@ def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late
     for k in range(KEPT):
         assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
-        pace.released(NS_PER_MS)
+        pace.released(NS_PER_MS, NS_PER_MS)
     assert pace.share("a") == pytest.approx(ROOM * (10 + KEPT - 1) / 100)
     assert pace.share("b") == 1.0
     assert pace.margin_ns < MARGIN_NS / 4
