@@ -38,7 +38,8 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
     run_fleet(main)
 
 
-def test_a_member_that_was_too_busy_to_promise_is_armed_again() -> None:
+@pytest.mark.parametrize(("busy_ms", "why"), [(130, "has not answered commit"), (60, "promises took longer")])
+def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: int, why: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         for k in range(KEPT):
@@ -50,11 +51,11 @@ def test_a_member_that_was_too_busy_to_promise_is_armed_again() -> None:
         while not any("job is armed" in line for line in fleet.lines[told:]):
             await sleep_ns(fleet.clock, NS_PER_MS // 10)
         fleet.freeze("host/local")
-        await sleep_ns(fleet.clock, 130 * NS_PER_MS)
+        await sleep_ns(fleet.clock, busy_ms * NS_PER_MS)
         fleet.resume("host/local")
         report = await running
         assert report.state == "done", report.reason
-        assert any("has not answered commit" in line for line in fleet.lines[told:])
+        assert any(why in line for line in fleet.lines[told:])
         assert {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()} == {
             "gantry": 1,
             "stage": 1,
