@@ -281,7 +281,7 @@ class ZenohBus:
         for task in list(self._answering):
             task.cancel()
         self._inbox.close()
-        await off_loop("bus-close", self._flush)
+        left = await off_loop("bus-close", self._flush)
         gone = threading.Semaphore(0)
 
         def leave(session: zenoh.Session) -> None:
@@ -306,13 +306,17 @@ class ZenohBus:
                         _LOG.warning("closing the bus at %s: %s", self._endpoint, failure)
         except TimeoutError:
             _LOG.warning("the router at %s does not take our leave; left without", self._endpoint)
+            left = True
+        if left:
             atexit.register(end)
 
-    def _flush(self) -> None:
+    def _flush(self) -> bool:
+        """Put what is left. Whether some of it could not be put in time: then that may still be under way."""
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
-        for sender in (self._sure_sender, self._lossy_sender):
-            if left := sender.stop(max(0.0, until_s - time.monotonic())):
-                _LOG.warning("%d samples were not taken by the bus at %s", left, self._endpoint)
+        left = [sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)]
+        if sum(left):
+            _LOG.warning("%d samples were not taken by the bus at %s", sum(left), self._endpoint)
+        return any(left)
 
     async def _declare(self, declare: Callable[[], T]) -> T:
         self._check_open()
