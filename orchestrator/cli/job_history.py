@@ -1,11 +1,16 @@
 """`tutti job ls` and `prune`: the jobs that the journal knows."""
 
+from collections.abc import Sequence
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import click
 
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.job_terms import Instant, Span
+
+if TYPE_CHECKING:
+    from orchestrator.model.report import QueueEntry
 
 _STATES = (
     *("queued", "planning", "arming", "armed", "committed", "running", "holding"),
@@ -24,12 +29,8 @@ def list_jobs(
     connect: str, fleet: str | None, as_json: bool, limit: int, state: str | None, name: str, since: datetime | None
 ) -> None:
     """List the newest jobs. #: the place in the queue of those that wait."""
-    from rich.padding import Padding
-    from rich.text import Text
-
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
-    from orchestrator.monitor.tables import plain_table
 
     async def act(tutti: Tutti) -> None:
         asked = ListJobs.model_validate({**tutti.fields(), "state": state})
@@ -37,24 +38,40 @@ def list_jobs(
         if as_json:
             print_json([entry.to_plain() for entry in found.jobs])
             return
-        table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
-        for entry in found.jobs:
-            place = "" if entry.place is None else str(entry.place)
-            submitted = entry.submitted_utc[:19].replace("T", " ")
-            table.add_row(entry.id, entry.name, entry.actor, place, entry.state, submitted)
-        with console.capture() as drawn:
-            console.print(table)
-        head, *rows = drawn.get().splitlines()
-        console.print(Text.from_ansi(head))
-        # A reason is a sentence: a line of its own, because beside the rest 80 columns leave it no room.
-        for row, entry in zip(rows, found.jobs, strict=True):
-            console.print(Text.from_ansi(row))
-            if entry.reason:
-                console.print(Padding(Text(entry.reason, "dim"), (0, 0, 0, 10), expand=False))
+        print_jobs(found.jobs)
         if found.total > len(found.jobs):
             console.print(f"{len(found.jobs)} of {found.total}; more with --limit", highlight=False)
 
     with_fleet(connect, fleet, act)
+
+
+def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
+    """A line for each, and one for its reason: beside the rest 80 columns leave a sentence no room."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    from orchestrator.monitor.tables import plain_table
+
+    table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
+    for column in table.columns:
+        # Where the window is narrow, only these give way: their cells are cut, not wrapped.
+        column.no_wrap = column.header not in {"name", "actor"}
+    for entry in jobs:
+        place = "" if entry.place is None else str(entry.place)
+        submitted = entry.submitted_utc[:19].replace("T", " ")
+        # People's words: a row each, whatever breaks a line or looks like markup in them.
+        name, actor = (
+            Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
+        )
+        table.add_row(entry.id, name, actor, place, entry.state, submitted)
+    with console.capture() as drawn:
+        console.print(table)
+    head, *rows = drawn.get().splitlines()
+    console.print(Text.from_ansi(head))
+    for row, entry in zip(rows, jobs, strict=True):
+        console.print(Text.from_ansi(row))
+        if entry.reason:
+            console.print(Padding(Text(entry.reason, "dim"), (0, 0, 0, 10), expand=False))
 
 
 @click.command(epilog="Example: tutti job prune --older 90d --keep 1000")

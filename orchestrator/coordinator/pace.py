@@ -31,7 +31,7 @@ class Pace:
                 self._shares.setdefault(member, deque(maxlen=KEPT)).append(took / declared_ns[member])
 
     def released(self, took_ns: int, go_ns: int) -> None:
-        """From armed to the last answer to `go`, and from the decision on."""
+        """To the last answer to `go`: from armed, and from the last promise."""
         self._releases_ns.append(took_ns)
         self._goes_ns.append(go_ns)
 
