@@ -21,7 +21,7 @@ from itertools import count
 
 from adapters.contract import Fired
 from adapters.firing import Order, fire
-from orchestrator.clock.live import raw_ns
+from orchestrator.clock.live import begin_live, raw_ns
 from orchestrator.link.base import Link, LinkClosed
 
 # The lowest there is: above everything ordinary, below what else a machine may run in real time.
@@ -40,6 +40,7 @@ class _Pending:
 def serve(control: socket.socket) -> None:
     """The child: fire what is ordered over `control`, until its other end is closed."""
     pending: dict[int, _Pending] = {}
+    begin_live()
     _hurry()
     while True:
         due = min(pending, key=lambda each: pending[each].order.at_ns, default=None)

@@ -28,7 +28,7 @@ from orchestrator.bus.log import Log, Sink
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
-from orchestrator.clock.live import LiveClock
+from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Controller, Fleet
 
@@ -177,6 +177,7 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
             if chosen.beat_fd is not None:
                 _Beat(chosen.beat_fd, orphaned)
             await host.start()
+            begin_live()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
             _say_ready()
             await _first(ended, orphaned)

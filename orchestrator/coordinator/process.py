@@ -18,7 +18,7 @@ from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
-from orchestrator.clock.live import LiveClock
+from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.coordinator.coordinator import Coordinator, Court
 from orchestrator.coordinator.journal import Journal, JournalError, Threaded
@@ -82,6 +82,7 @@ async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: async
     try:
         await coordinator.start(options.take_over, vacant=options.standby)
         Reigning(options.journal).write()
+        begin_live()
         if not options.standby:
             _say_ready()
         waits = [loop.create_task(end.wait()), loop.create_task(coordinator.deposed.wait())]

@@ -19,7 +19,7 @@ from typing import TextIO
 
 from pydantic import ValidationError
 
-from orchestrator.clock.live import LiveClock
+from orchestrator.clock.live import LiveClock, begin_live
 from sim.core.controller import Branch, Port, PortRefused, SimulatedController, SimulatedLine, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator
@@ -75,6 +75,7 @@ async def _run(chosen: argparse.Namespace) -> None:
                 more = await _named_pipe(unit.world)
                 listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, unit.name))
                 cleanup.callback(listening.cancel)
+        begin_live()
         sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
         sys.stdout.flush()
         await _follow(lines, server, line.units[asked[0].name], asked[0].name)
