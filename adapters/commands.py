@@ -98,7 +98,7 @@ class Commands:
         self._parts = parts
         self._fence, self._condition, self._presenter = parts.fence, parts.condition, parts.presenter
         self._unit = unit
-        self._answers = Answers[Reply]()
+        self._answers = Answers()
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (Adopt, Adopted, self._adopt),
@@ -130,16 +130,15 @@ class Commands:
             request = model.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(f"{verb}: {explain(error)}") from None
-        answer = await self._answers.once(verb, request.request_id, lambda: self._do(verb, reply, handler, request))
-        return answer.to_json()
+        return await self._answers.once(verb, request.request_id, lambda: self._do(verb, reply, handler, request))
 
     async def _do(
         self, verb: str, reply: type[Reply], handler: Callable[[Any], Awaitable[Reply]], request: Request
-    ) -> Reply:
+    ) -> bytes:
         try:
             if isinstance(request, Fenced) and not isinstance(request, Adopt):
                 self._fence.admit(request)
-            return await handler(request)
+            return (await handler(request)).to_json()
         except CannotDo as error:
             refusal = error.refusal
         except DriverFault as error:
@@ -148,7 +147,7 @@ class Commands:
         except (LinkClosed, LinkRefused) as error:
             refusal = Refusal(code="offline", text=str(error), remedy="check power and cable of the controller")
         self._presenter.emit("refusal", f"{verb} by {request.actor}: {refusal.text}")
-        return reply(refused=refusal.model_copy(update={"member": self._seat.controller}))
+        return reply(refused=refusal.model_copy(update={"member": self._seat.controller})).to_json()
 
     async def _adopt(self, request: Adopt) -> Adopted:
         if self._fence.adopt(request):

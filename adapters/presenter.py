@@ -220,8 +220,7 @@ class Presenter:
             evidence=dict(evidence or {}),
             fault=fault,
         )
-        self._events.add(event)
-        self._bus.put(self._keys.event(self._controller), event.to_json(), Priority.EVENT)
+        self._bus.put(self._keys.event(self._controller), self._events.add(event), Priority.EVENT)
         about = {"controller": self._controller, "kind": kind, "job": event.job, "step": event.step}
         self._seat.log.info(text, **about, epoch=self._fence.epoch)
         if kind in ("fault", "failed", "offline"):

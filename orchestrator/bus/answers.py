@@ -3,25 +3,32 @@
 import asyncio
 from collections import OrderedDict
 from collections.abc import Callable, Coroutine
-from typing import Any, Generic, TypeVar
-
-T = TypeVar("T")
+from typing import Any
 
 KEPT = 256
 
 
-class Answers(Generic[T]):
+class Answers:
     """The newest `KEPT` answers, by verb and request id."""
 
     def __init__(self) -> None:
-        self._given: OrderedDict[tuple[str, str], asyncio.Task[T]] = OrderedDict()
+        # What has been answered is kept as bytes: a host has thousands, and finished tasks drag along all they had.
+        self._given: OrderedDict[tuple[str, str], bytes | asyncio.Task[bytes]] = OrderedDict()
 
-    async def once(self, verb: str, request_id: str, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    async def once(self, verb: str, request_id: str, work: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
         """What `work` gives, or has given or will give to the same request. It goes on when nobody waits for it."""
         key = (verb, request_id)
-        task = self._given.get(key)
-        if task is None:
-            task = self._given[key] = asyncio.get_running_loop().create_task(work())
+        given = self._given.get(key)
+        if isinstance(given, bytes):
+            return given
+        if given is None:
+            given = self._given[key] = asyncio.get_running_loop().create_task(work())
+            given.add_done_callback(lambda done: self._keep(key, done))
             while len(self._given) > KEPT:
                 self._given.popitem(last=False)
-        return await asyncio.shield(task)
+        return await asyncio.shield(given)
+
+    def _keep(self, key: tuple[str, str], done: "asyncio.Task[bytes]") -> None:
+        # A task that failed stays: whoever asks again gets the same error.
+        if key in self._given and not done.cancelled() and done.exception() is None:
+            self._given[key] = done.result()

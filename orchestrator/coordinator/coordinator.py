@@ -123,7 +123,7 @@ class Coordinator:
         self._declared: list[Declared] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self.deposed = asyncio.Event()
-        self._answers = Answers[bytes]()
+        self._answers = Answers()
         self._verbs: dict[str, tuple[type[Request], Callable[[Any], Awaitable[Model]]]] = {
             "submit": (Submit, self._submit),
             "list": (ListJobs, self._list),
