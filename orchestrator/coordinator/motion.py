@@ -200,7 +200,9 @@ class Motion:
             try:
                 await self._arm(moving, step)
                 await self._judge_frozen(moving, job, step)
-                await self._require_time(moving, pace.release_ns, "arming took longer than was allowed for")
+                declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
+                pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
+                await self._require_time(moving, pace.go_ns, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
                 # Who does not answer may be busy; but a decision stands for one start alone.
@@ -244,8 +246,6 @@ class Motion:
         await on_state("committed", "")
         await self._go(moving)
         pace.released(self._clock.now_ns() - armed_ns, self._clock.now_ns() - promised_ns)
-        declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
-        pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
 
     async def _require_time(self, moving: Moving, needs_ns: int, late: str) -> None:
         """For what is still to be done, and then for unloading all if that fails. Raises `Refuse`: all are unloaded."""

@@ -159,14 +159,17 @@ class Proposing:
 
     def _lead_ns(self, moving: Moving) -> int:
         """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Those on one line
-        are armed in turns."""
-        arming_ns: dict[str, float] = {}
+        are armed in turns; what one of them took longer was the others' turn."""
+        by_line: dict[str, list[tuple[int, float]]] = {}
         for member, proposal in moving.proposals.items():
             if proposal.costs is not None:
                 place = self._view.fleet.controllers[member].link.place
-                takes_ns = proposal.costs.arm_ns * self.pace.share(member)
-                arming_ns[place] = arming_ns.get(place, 0.0) + takes_ns
-        return round(max(arming_ns.values())) + self.pace.margin_ns + moving.disarm_ns
+                by_line.setdefault(place, []).append((proposal.costs.arm_ns, self.pace.share(member)))
+        arming_ns = [
+            sum(arm_ns * (share if len(line) == 1 else min(1.0, share)) for arm_ns, share in line)
+            for line in by_line.values()
+        ]
+        return round(max(arming_ns)) + self.pace.margin_ns + moving.disarm_ns
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""
