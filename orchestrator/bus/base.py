@@ -68,7 +68,8 @@ class Bus(Protocol):
     """One process's place on the bus. Keys are `/`-separated; expressions may hold `*` and `**` as Zenoh has them."""
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
-        """Hand a sample over and return at once; never blocks the event loop. Order holds per key and priority."""
+        """Hand a sample over and return at once; never blocks the event loop. Order holds per key and priority. An
+        e-stop may be put on an expression: all hear it whose key it stands for."""
         ...
 
     async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:

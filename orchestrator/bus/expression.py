@@ -6,6 +6,8 @@ them, none included. Zenoh's `$*` (part of a chunk) is left out: nothing here ne
 
 from functools import lru_cache
 
+from orchestrator.bus.base import Priority
+
 _FORBIDDEN = frozenset("?#$ \t\r\n")
 
 
@@ -14,6 +16,11 @@ def check_key(key: str) -> str:
     if is_wild(check_expression(key)):
         raise ValueError(f"{key!r} is an expression where a key without '*' is needed")
     return key
+
+
+def check_put(key: str, priority: Priority) -> str:
+    """Give back what a sample is put on: a key; of an e-stop, an expression too. Raises `ValueError`."""
+    return check_expression(key) if priority is Priority.ESTOP else check_key(key)
 
 
 @lru_cache(maxsize=4096)

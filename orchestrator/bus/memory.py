@@ -15,7 +15,7 @@ from collections.abc import Callable
 from functools import partial
 
 from orchestrator.bus.base import BusClosed, Declared, Handler, Priority, Sample
-from orchestrator.bus.expression import check_expression, check_key, intersects
+from orchestrator.bus.expression import check_expression, check_key, check_put, intersects
 from orchestrator.bus.memory_medium import Latency, Waiting
 from orchestrator.bus.memory_presence import PresenceBoard, Token, Watch
 from orchestrator.bus.memory_requests import Requests, Served
@@ -303,7 +303,7 @@ class MemoryBus:
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._check_open()
-        self.go_out(priority, partial(self.net.send, self, Sample(check_key(key), payload), priority))
+        self.go_out(priority, partial(self.net.send, self, Sample(check_put(key, priority), payload), priority))
 
     async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
         self._check_open()

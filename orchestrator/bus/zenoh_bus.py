@@ -22,7 +22,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from orchestrator.bus.base import BusClosed, Declared, Handler, Priority, RequestRefused, Sample
-from orchestrator.bus.expression import check_expression, check_key, is_wild
+from orchestrator.bus.expression import check_expression, check_key, check_put, is_wild
 from orchestrator.bus.outcome import Outcome
 from orchestrator.bus.zenoh_sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh_threads import Inbox, Sender, off_loop
@@ -108,7 +108,7 @@ class ZenohBus:
         session, sender = (self._lossy, self._lossy_sender) if droppable else (self._sure, self._sure_sender)
         call = partial(
             session.put,
-            check_key(key),
+            check_put(key, priority),
             payload,
             congestion_control=zenoh.CongestionControl.DROP if droppable else zenoh.CongestionControl.BLOCK,
             priority=_WIRE_PRIORITY[priority],

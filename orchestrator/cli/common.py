@@ -31,8 +31,19 @@ def fleet_options(command: F) -> F:
         show_default=True,
         help="The router, as `tcp/HOST:PORT`.",
     )
-    fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The fleet, if there are several.")
+    fleet = click.option(
+        "--fleet", envvar="TUTTI_FLEET", default=None, callback=_fleet_name, help="The fleet, if there are several."
+    )
     return connect(fleet(command))
+
+
+def _fleet_name(_: click.Context, option: click.Parameter, value: str | None) -> str | None:
+    from orchestrator.bus.keys import Keys
+
+    try:
+        return value if value is None else Keys(value).fleet
+    except ValueError as error:
+        raise click.BadParameter(str(error), param=option) from None
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
@@ -60,25 +71,36 @@ def _plain(text: str) -> str:
 
 def run(main: Coroutine[Any, Any, T]) -> T:
     """Run `main`; every expected error becomes a message and an exit code."""
-    from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable
-    from orchestrator.client.api import Refused
-    from orchestrator.lab.live import UpFailed
-    from orchestrator.model.files import FileError
-
     try:
         return asyncio.run(main)
     except KeyboardInterrupt:
         errors.print("interrupted")
         raise SystemExit(INTERRUPTED) from None
-    except FileError as error:
-        fail(str(error), BAD_INPUT)
-    except (RouterUnreachable, RouterRefused) as error:
-        fail(str(error), UNREACHABLE)
-    except UpFailed as error:
-        fail(str(error), FAILED)
-    except Refused as error:
-        code = UNREACHABLE if error.refusal.code in _UNREACHABLE_CODES else FAILED
-        fail(f"{error.refusal.text} ({error.refusal.code})", code, error.refusal.remedy)
+    except Exception as error:
+        _explain(error)
+        raise
+
+
+def _explain(error: Exception) -> None:
+    """Say what an expected error means, and exit; of others, nothing."""
+    # Only now: an e-stop does not wait for all that could go wrong to be loaded.
+    from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable
+    from orchestrator.client.api import Refused
+    from orchestrator.lab.live import UpFailed
+    from orchestrator.model.files import FileError
+
+    match error:
+        case FileError():
+            fail(str(error), BAD_INPUT)
+        case RouterUnreachable() | RouterRefused():
+            fail(str(error), UNREACHABLE)
+        case UpFailed():
+            fail(str(error), FAILED)
+        case Refused():
+            code = UNREACHABLE if error.refusal.code in _UNREACHABLE_CODES else FAILED
+            fail(f"{error.refusal.text} ({error.refusal.code})", code, error.refusal.remedy)
+        case _:
+            pass
 
 
 def with_fleet(connect: str, fleet: str | None, act: Callable[[Any], Awaitable[T]]) -> T:

@@ -1,11 +1,23 @@
 """`tutti status`, `stop`, `estop`, `reset`: the whole fleet, at once."""
 
+import asyncio
+import uuid
 from typing import Any
 
 import click
 
-from orchestrator.cli.codes import FAILED
-from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.codes import FAILED, UNREACHABLE
+from orchestrator.cli.common import (
+    actor,
+    console,
+    errors,
+    fail,
+    fleet_options,
+    json_option,
+    print_json,
+    run,
+    with_fleet,
+)
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
@@ -47,22 +59,44 @@ def stop(connect: str, fleet: str | None, as_json: bool, abort: bool) -> None:
 def estop(connect: str, fleet: str | None, as_json: bool, reason: str) -> None:
     """Stop everything as fast as the controllers can, and latch until `tutti reset`.
 
-    This is software: it is no substitute for a wired emergency stop.
+    Without --fleet every fleet on the bus is stopped. This is software: it is no substitute for a wired emergency stop.
     """
-    from orchestrator.client import Tutti
+    latched = run(_stop_all(connect, fleet, reason))
+    if as_json:
+        print_json(latched)
+    else:
+        for controller, done in latched.items():
+            console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
+    if not latched:
+        fail(f"nobody on {connect} shows the e-stop", UNREACHABLE, "use the wired one; then see `tutti status`")
+    if not all(latched.values()):
+        fail("not every controller shows the e-stop", FAILED, "use the wired one; then see `tutti status`")
 
-    async def act(tutti: Tutti) -> None:
-        latched = await tutti.estop(reason)
-        if as_json:
-            print_json(latched)
-        else:
-            for controller, done in latched.items():
-                console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
-        if not latched or not all(latched.values()):
-            errors.print("[bold red]tutti:[/] not every controller shows the e-stop; use the wired one")
-            raise SystemExit(FAILED)
 
-    with_fleet(connect, fleet, act)
+async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
+    """Order the e-stop, and see by whom it was heard; controllers have their fleet's name before them if there are
+    several."""
+    from orchestrator.bus.estop import put_estop
+    from orchestrator.bus.zenoh_bus import open_bus
+
+    bus, who = await open_bus(connect), actor()
+    try:
+        put_estop(bus, fleet, f"{who}-{uuid.uuid4().hex[:8]}", who, reason)
+        # All else is loaded only now that the order is on its way.
+        from orchestrator.bus.fleets import find_fleets
+        from orchestrator.client import Tutti
+
+        fleets = await find_fleets(bus) if fleet is None else [fleet]
+        found = await asyncio.gather(*(Tutti(bus, name).latched() for name in fleets))
+    finally:
+        await bus.close()
+    if len(fleets) == 1:
+        return found[0]
+    return {
+        f"{name}/{controller}": done
+        for name, each in zip(fleets, found, strict=True)
+        for controller, done in each.items()
+    }
 
 
 @click.command(epilog="Example: tutti reset && tutti status")

@@ -13,13 +13,15 @@ from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-from orchestrator.bus.base import Bus, BusError, NoReply, Priority, RequestRefused, RequestTimeout, Sample
-from orchestrator.bus.keys import ROOT, Keys
+from orchestrator.bus.base import Bus, NoReply, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.estop import put_estop
+from orchestrator.bus.fleets import find_fleets
+from orchestrator.bus.keys import Keys
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.model.base import Model
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import UNKNOWN_ACTOR, Job
-from orchestrator.model.messages import Estop, Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
+from orchestrator.model.messages import Raw, RawReply, Refusal, Reply, Request, Reset, Stop, TraceReply
 from orchestrator.model.queue import Terms
 from orchestrator.model.report import ENDED, JobReport, JobState, Lease, Progress, QueueEntry, QueueState, StepRecording
 from orchestrator.model.service import (
@@ -290,8 +292,11 @@ class Tutti:
 
     async def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
         """Put an e-stop, and say which controllers show its latch within `timeout_s`."""
-        event = f"{self.actor}-{self.new_id()[:8]}"
-        self.bus.put(self.keys.estop, Estop(event=event, actor=self.actor, reason=reason).to_json(), Priority.ESTOP)
+        put_estop(self.bus, self.keys.fleet, f"{self.actor}-{self.new_id()[:8]}", self.actor, reason)
+        return await self.latched(timeout_s)
+
+    async def latched(self, timeout_s: float = 2.0) -> dict[str, bool]:
+        """Which controllers show that they are latched by an e-stop: as soon as all do, or after `timeout_s`."""
         latched: dict[str, bool] = {}
         try:
             async with asyncio.timeout(timeout_s):
@@ -445,12 +450,7 @@ class Tutti:
 
 async def find_fleet(bus: Bus) -> str:
     """The only fleet on the bus. Raises `Refused`."""
-    try:
-        replies = await bus.request_all(f"{ROOT}/*/time", b"", timeout_s=2.0)
-        replies |= await bus.request_all(f"{ROOT}/*/ctl/*/state", b"", timeout_s=2.0)
-    except BusError:
-        replies = {}
-    fleets = sorted({key.removeprefix(ROOT + "/").partition("/")[0] for key in replies})
+    fleets = await find_fleets(bus)
     if len(fleets) == 1:
         return fleets[0]
     if not fleets:

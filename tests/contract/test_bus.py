@@ -12,6 +12,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bus_worlds import LIMIT_S, Body, World, linked, request_until, run_live, run_memory, until
 
 from orchestrator.bus.base import BusClosed, NoReply, Priority, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.estop import put_estop
+from orchestrator.bus.keys import Keys
+from orchestrator.model.messages import Estop
 
 Run = Callable[[Body], None]
 
@@ -48,6 +51,33 @@ def test_an_estop_overtakes_what_is_queued(run: Run) -> None:
         a.put("t/estop", b"", Priority.ESTOP)
         await until(lambda: got.count("t/event") == 1000)
         assert got.index("t/estop") < len(got) - 1
+
+    run(body)
+
+
+def test_an_estop_of_no_fleet_is_heard_by_all_without_waiting_for_them(run: Run) -> None:
+    async def body(world: World) -> None:
+        hearers = [await world.join(name) for name in "ab"]
+        got: dict[str, list[Sample]] = {"one": [], "two": []}
+        for hearer, fleet in zip(hearers, got, strict=True):
+            await hearer.subscribe(Keys(fleet).estop, got[fleet].append)
+        for hearer in hearers:
+            await linked(hearer, hearer)
+        # Whoever puts it has only just come: nobody is known to it yet.
+        put_estop(await world.join("c"), None, "e1", "anna", "smoke")
+        await until(lambda: all(got.values()))
+        heard = [Estop.model_validate_json(sample.payload) for samples in got.values() for sample in samples]
+        assert heard == [Estop(event="e1", actor="anna", reason="smoke")] * 2
+
+    run(body)
+
+
+def test_only_an_estop_goes_on_an_expression(run: Run) -> None:
+    async def body(world: World) -> None:
+        a = await world.join("a")
+        for priority in (Priority.STATE, Priority.EVENT):
+            with pytest.raises(ValueError, match="without '\\*'"):
+                a.put("t/*/x", b"", priority)
 
     run(body)
 

@@ -1,0 +1,21 @@
+"""Which fleets are on the bus."""
+
+import asyncio
+
+from orchestrator.bus.base import Bus, BusError
+from orchestrator.bus.keys import ROOT
+
+ANSWER_S = 2.0
+
+
+async def find_fleets(bus: Bus) -> list[str]:
+    """Those of which a coordinator or an adapter answers, in the order of their names."""
+    asked = [f"{ROOT}/*/time", f"{ROOT}/*/ctl/*/state"]
+    found = await asyncio.gather(*(bus.request_all(each, b"", ANSWER_S) for each in asked), return_exceptions=True)
+    keys: set[str] = set()
+    for replies in found:
+        if isinstance(replies, dict):
+            keys |= replies.keys()
+        elif not isinstance(replies, BusError):
+            raise replies
+    return sorted({key.removeprefix(ROOT + "/").partition("/")[0] for key in keys})
