@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from orchestrator.clock.base import NS_PER_MS
 
 KEPT = 16  # of the newest steps
-ROOM = 1.25  # over the slowest of them: were they lognormal, of 20 % spread, one step in 500 would be armed twice
+ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
+GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again
 
@@ -23,6 +24,10 @@ class _Seen:
     def __init__(self) -> None:
         self._kept: deque[float] = deque(maxlen=KEPT)
 
+    @property
+    def known(self) -> bool:
+        return len(self._kept) == KEPT
+
     def add(self, took: float) -> None:
         self._kept.append(took)
 
@@ -32,10 +37,10 @@ class _Seen:
         self._kept.clear()
         self._kept.append(worst)
 
-    def allow(self, declared: float) -> float:
+    def allow(self, declared: float, room: float = ROOM) -> float:
         """What the next one is given. Until they are known, what is declared, or the slowest."""
         worst = max(self._kept, default=0.0)
-        return ROOM * worst if len(self._kept) == KEPT else max(declared, worst)
+        return room * worst if self.known else max(declared, worst)
 
 
 class Pace:
@@ -74,9 +79,12 @@ class Pace:
     @property
     def go_ns(self) -> int:
         """What decision and release alone are given."""
-        return round(self._goes_ns.allow(MARGIN_NS / 2))
+        return round(self._goes_ns.allow(MARGIN_NS / 2, GO_ROOM))
 
     @property
     def margin_ns(self) -> int:
         """What promise, decision and release are given."""
-        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(MARGIN_NS)))
+        if not self._goes_ns.known:
+            return round(self._releases_ns.allow(MARGIN_NS))
+        # Before the decision there has to be that much left for go.
+        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns))

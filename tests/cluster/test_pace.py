@@ -7,7 +7,7 @@ import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.pace import KEPT, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
+from orchestrator.coordinator.pace import GO_ROOM, KEPT, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -69,11 +69,12 @@ def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late
     for k in range(KEPT):
         assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
-        pace.released(2 * NS_PER_MS, NS_PER_MS)
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.share("a") == pytest.approx(ROOM * (10 + KEPT - 1) / 100)
     assert pace.share("b") == 1.0
-    assert pace.go_ns == round(ROOM * NS_PER_MS)
-    assert pace.margin_ns == LEAST_MARGIN_NS
+    assert pace.go_ns == round(GO_ROOM * 10 * NS_PER_MS)
+    # For the whole release, and what go is given beyond what it takes.
+    assert pace.margin_ns == round((ROOM * 20 + (GO_ROOM - 1) * 10) * NS_PER_MS) > LEAST_MARGIN_NS
     pace.late({"a": None})
     assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
 
