@@ -125,11 +125,15 @@ class _Rig:
         else:
             await asyncio.sleep(self._draw.uniform(*MOVING_S))
         put_ns = raw_ns()
+        shell: subprocess.Popen[bytes] | None = None
         if command:
-            subprocess.Popen([*command, "estop", "--connect", self._live.connect], stdout=subprocess.DEVNULL)
+            shell = subprocess.Popen([*command, "estop", "--connect", self._live.connect], stdout=subprocess.DEVNULL)
         else:
             await self._tutti.estop("benchmark", timeout_s=0.0)
         slowing = await asyncio.gather(*(self._truths[name].after("slowing", put_ns) for name in movers))
+        if shell is not None:
+            # It looks whether all are latched.
+            await asyncio.to_thread(shell.wait)
         await self._recover(jobs)
         return {name: ns - put_ns for name, ns in zip(movers, slowing, strict=True)}
 

@@ -344,9 +344,7 @@ class _Play:
         if stage in _WITHIN and asked.verb == stage and going_out:
             return now_ns + self._draw.randint(*_WITHIN[stage])
         if stage == "arm" and asked.verb == "arm" and going_out:
-            proposal = next(e for e in reversed(self.witness.asked) if (e.verb, e.member) == ("propose", asked.member))
-            costs = proposal.reply.get("costs") or {"arm_ns": 0}
-            return now_ns + self._draw.randrange(costs["arm_ns"] // 2 + 1)
+            return now_ns + self._draw.randrange(self._arms_in_ns(asked.member) + 1)
         if asked.verb != "go" or not asked.taken:
             return None
         t0_ns = self._host_ns(asked)
@@ -355,6 +353,13 @@ class _Play:
         if stage == "motion":
             return t0_ns + self._draw.randint(*_MOTION_NS)
         return None
+
+    def _arms_in_ns(self, member: str) -> int:
+        """What its last arming took; before that a tenth of what it says that it takes at the most."""
+        taken = {each.verb: each.reply for each in self.witness.asked if each.member == member and each.taken}
+        if "arm" in taken:
+            return taken["arm"]["took_ns"]
+        return (taken["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
     def _stage_of(self, step: tuple[str, int], member: str) -> Stage | None:
         """How far `member` has come in the step; None when its job has ended."""

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import product
 
 from orchestrator.lab.campaign import Cell, Story, play
 from orchestrator.lab.campaign_faults import FAULTS
@@ -14,16 +15,17 @@ CELLS = [Cell(stage, fault, make) for fault in FAULTS for make in MAKES for stag
 
 
 def _round() -> list[Cell]:
-    """Every cell once; one of a fault that befalls the whole fleet counts for all makes that take part in its step.
+    """Every cell three times; those of a fault that befalls the whole fleet twice, because it counts for all makes that
+    take part in its step.
 
     The first len(STAGES) * len(FAULTS) are all pairs of stage and fault.
     """
     cells: list[Cell] = []
-    for turn in range(len(MAKES)):
+    for lap, turn in product(range(1, 4), range(len(MAKES))):
         for number, (name, fault) in enumerate(FAULTS.items()):
             for place, stage in enumerate(STAGES):
                 make = MAKES[(turn + number + place) % len(MAKES)]
-                if fault.reach != "fleet" or turn == 0:
+                if fault.reach != "fleet" or (lap + turn) % 3:
                     # Only a fleet that has one can lose a permit.
                     cells.append(Cell(stage, name, "smc4000" if name == "permit-lost" else make))
     return cells
