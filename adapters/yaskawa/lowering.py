@@ -381,6 +381,8 @@ def _promise(
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
+                # Uploads add up on their line.
+                "by_turns": costs.by_turns and not loading_ns,
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),

@@ -102,6 +102,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
+            by_turns=True,
             # The gate is decided before the quiet time, and a release must reach it by then.
             disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,

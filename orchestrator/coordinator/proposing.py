@@ -18,6 +18,7 @@ from orchestrator.model.fleet import Wire
 from orchestrator.model.job import Job, Move
 from orchestrator.model.messages import Armed, Proposal, Propose, Reply, StartWay, Term
 from orchestrator.model.report import Predicted
+from orchestrator.model.state import Costs
 
 ROUNDS = 3
 END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
@@ -158,18 +159,19 @@ class Proposing:
         self.judge(moving, moving.proposals, job, step)
 
     def _lead_ns(self, moving: Moving) -> int:
-        """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Those on one line
-        are armed in turns; what one of them took longer was the others' turn."""
-        by_line: dict[str, list[tuple[int, float]]] = {}
+        """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Of those on one
+        line, who takes longer than it says waits for the others."""
+        lines: dict[str, list[tuple[Costs, float]]] = {}
         for member, proposal in moving.proposals.items():
             if proposal.costs is not None:
                 place = self._view.fleet.controllers[member].link.place
-                by_line.setdefault(place, []).append((proposal.costs.arm_ns, self.pace.share(member)))
-        arming_ns = [
-            sum(arm_ns * (share if len(line) == 1 else min(1.0, share)) for arm_ns, share in line)
-            for line in by_line.values()
-        ]
-        return round(max(arming_ns)) + self.pace.margin_ns + moving.disarm_ns
+                lines.setdefault(place, []).append((proposal.costs, self.pace.share(member)))
+
+        def line_ns(line: list[tuple[Costs, float]]) -> float:
+            arming_ns = [costs.arm_ns * (share if len(line) == 1 else min(1.0, share)) for costs, share in line]
+            return max(arming_ns) if all(costs.by_turns for costs, _ in line) else sum(arming_ns)
+
+        return round(max(map(line_ns, lines.values()))) + self.pace.margin_ns + moving.disarm_ns
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""

@@ -166,9 +166,14 @@ class EventsReply(Model):
 
 
 class Costs(Model):
-    """What it takes to arm, disarm and stop a controller, at most, in ns."""
+    """What it takes to arm, disarm and stop a controller, at most, in ns.
+
+    by_turns: arming takes no longer when others on its line are armed meanwhile, because they take turns, command by
+    command; else they are armed one after another.
+    """
 
     arm_ns: Int53
+    by_turns: bool = False
     disarm_ns: Int53
     stop_ns: Int53
 

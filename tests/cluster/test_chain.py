@@ -154,5 +154,10 @@ def test_eight_units_that_begin_together_are_not_taken_for_silent_while_each_is_
         steps = [{"do": "enable", "axes": axes}, {"do": "home", "axes": axes}, move]
         report = await outcome(virtual, job(json.dumps(steps), max_start_skew="50 ms"))
         assert report.state == "done", report.reason
+        moved = report.steps[-1]
+        assert moved.t0_fleet_ns is not None and moved.arming_fleet_ns is not None
+        # Their loading and its check takes six seconds of their line, by turns: once, and not once for each.
+        assert 5 * NS_PER_S < moved.t0_fleet_ns - moved.arming_fleet_ns < 8 * NS_PER_S
+        assert not any("arming again" in line for line in virtual.lines)
 
     run_fleet(main, fleet)
