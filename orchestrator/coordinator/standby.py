@@ -18,9 +18,12 @@ from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.coordinator.reign import HEARTBEAT_NS, LISTEN_NS
 from orchestrator.model.messages import Reign
 
+LOOK_NS = HEARTBEAT_NS // 2
+
 
 async def vacancy(bus: Bus, keys: Keys, clock: Clock) -> None:
-    """Wait until no reign has been heard for as long as a living coordinator is heard within."""
+    """Wait until no reign has been heard for as long as a living coordinator is heard within, by a process that was
+    awake: one that slept, or was stopped, has heard nobody."""
     heard_ns = clock.now_ns()
 
     def hear(sample: Sample) -> None:
@@ -33,8 +36,12 @@ async def vacancy(bus: Bus, keys: Keys, clock: Clock) -> None:
 
     subscription = await bus.subscribe(keys.reign, hear)
     try:
-        while clock.now_ns() - heard_ns < LISTEN_NS:
-            await sleep_ns(clock, HEARTBEAT_NS // 2)
+        now_ns = clock.now_ns()
+        while now_ns - heard_ns < LISTEN_NS:
+            await sleep_ns(clock, LOOK_NS)
+            overslept_ns, now_ns = clock.now_ns() - now_ns - LOOK_NS, clock.now_ns()
+            if overslept_ns > LOOK_NS:
+                heard_ns += overslept_ns
     finally:
         await subscription.undeclare()
 

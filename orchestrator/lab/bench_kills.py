@@ -69,7 +69,9 @@ async def bench_kills(fleet: Fleet, state: Path, rounds: int, told: Callable[[st
         for k in range(rounds):
             target, number = TARGETS[k % len(TARGETS)], SIGNALS[k // len(TARGETS) % len(SIGNALS)]
             seen.append(await rig.round(target, number))
-            told(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}")
+            rest_ns = seen[-1].rest_ns
+            rest = "" if rest_ns is None else f", at rest after {rest_ns / 1e6:.0f} ms"
+            told(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}{rest}")
         rests = [each.rest_ns for each in seen if each.rest_ns is not None]
         return KillFigures(
             rounds=len(seen),

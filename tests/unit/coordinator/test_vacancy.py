@@ -1,0 +1,65 @@
+"""Who stands by and was stopped itself has heard nobody: that is no silence of others."""
+
+import asyncio
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from orchestrator.bus.base import Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.coordinator.reign import HEARTBEAT_NS, LISTEN_NS
+from orchestrator.coordinator.standby import vacancy
+from orchestrator.model.messages import Reign
+
+REIGN = Reign(
+    fleet="demo",
+    epoch=1,
+    coordinator="c1",
+    seq=1,
+    scale_id="s",
+    kernel_id="k",
+    origin_host_ns=0,
+    utc="2026-01-01T00:00:00Z",
+)
+BEAT = Sample("tutti/v1/demo/reign", REIGN.to_json())
+STOPPED_NS = 2 * NS_PER_S
+
+
+class Drowsy:
+    """A clock whose process is stopped once: what is due meanwhile comes when it goes on."""
+
+    def __init__(self, clock: VirtualClock, from_ns: int) -> None:
+        self._clock = clock
+        self._from_ns, self.until_ns = from_ns, from_ns + STOPPED_NS
+
+    def now_ns(self) -> int:
+        return self._clock.now_ns()
+
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> object:
+        return self._clock.call_at_ns(self.until_ns if self._from_ns < at_ns < self.until_ns else at_ns, callback)
+
+
+def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
+    async def main(clock: VirtualClock) -> None:
+        hear: list[Callable[[Sample], None]] = []
+
+        async def subscribe(_: str, callback: Callable[[Sample], None]) -> Any:
+            hear.append(callback)
+            return SimpleNamespace(undeclare=lambda: asyncio.sleep(0))
+
+        drowsy: Any = Drowsy(clock, NS_PER_S)
+        bus: Any = SimpleNamespace(subscribe=subscribe)
+        standing = asyncio.ensure_future(vacancy(bus, Keys("demo"), drowsy))
+        # Its bus wakes some time after it: the heartbeats of the time between are gone.
+        for _ in range(50):
+            await sleep_ns(clock, HEARTBEAT_NS)
+            if not NS_PER_S < clock.now_ns() <= drowsy.until_ns + 50 * NS_PER_MS:
+                hear[0](BEAT)
+        assert not standing.done()
+        last_ns = clock.now_ns()
+        await standing
+        assert LISTEN_NS <= clock.now_ns() - last_ns <= LISTEN_NS + HEARTBEAT_NS
+
+    run_virtual(main)
