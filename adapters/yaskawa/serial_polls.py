@@ -163,15 +163,19 @@ class PolledSession(SerialSession):
             self._overlapped = True
 
     def _printed(self, command: str) -> str | None:
-        """The line that the program has printed. Raises `Refused` when the command was."""
+        """The line that the program has printed. Raises `Refused` when the command was.
+
+        What another program reports of its error is printed, too, whoever is asked just then (`?005 BGX`, L3473).
+        """
         self._sift()
-        end = self._marked.find(b"\r\n")
         if b"?" in self._plain:
             self._line.out_of_step()
             self._settled = False
             raise Refused(command, 0, "its program is not there any more")
-        if end < 0:
-            return None
-        text = self._marked[:end].decode("ascii")
-        del self._marked[: end + 2]
-        return text
+        while (end := self._marked.find(b"\r\n")) >= 0:
+            text = self._marked[:end].decode("ascii")
+            del self._marked[: end + 2]
+            if not text.startswith("?"):
+                return text
+            self.unsolicited.append(text)
+        return None

@@ -57,6 +57,7 @@ class SerialSession(Session):
         self._marked: bytearray = bytearray()
         self._settled = False
         self._known = False
+        self._missing = False
         self._own_stops = 0
 
     # What others ask for
@@ -289,7 +290,8 @@ class SerialSession(Session):
         line = self._line
         if line.ahead is not None:
             line.out_of_step()
-        left = _TRIES
+        # Who is missing already does not take the others' time twice.
+        left = _TRIES if self._unit is None or not self._missing else 1
         while not (line.in_step and line.selected == self._unit and self._settled):
             stops, line.in_step, line.selected = line.stops, False, None
             marker = line.marker()
@@ -307,10 +309,12 @@ class SerialSession(Session):
                     self._settled = False
                     left -= 1
                     if not left:
+                        self._missing = True
                         raise
                 continue
             if line.stops == stops:
                 line.in_step, line.selected, self._settled, line.half_line = True, self._unit, True, False
+                self._missing = False
 
     def _addressed(self, left: int) -> str:
         """A controller alone does not need an address, unless somebody has addressed another one before."""
