@@ -11,7 +11,7 @@ from orchestrator.model.job import Job
 from orchestrator.model.queue import Terms
 
 PACE = 0.2  # of the speed limits: nobody is there by chance before a fault comes
-MOST_S = 8.0  # of a move
+MOST_S = 9.5  # of a move
 
 
 @dataclass(frozen=True, slots=True)
