@@ -10,8 +10,8 @@ from orchestrator.model.fleet import Fleet, by_line
 from orchestrator.model.job import Job
 from orchestrator.model.queue import Terms
 
-PACE = 0.2  # of the speed limits: nobody is there by chance before a fault comes
-MOST_S = 9.5  # of a move
+PACE = 0.17  # of the speed limits: nobody is there by chance before a fault comes
+MOST_S = 9.4  # of a move
 
 
 @dataclass(frozen=True, slots=True)
