@@ -88,6 +88,8 @@ class Member:
         self.ticket: Ticket | None = None
         self.stop_owed = False
         """What was released, and has failed, could not be stopped yet."""
+        self.stop_ns = 0
+        """What a stop of the last step takes at the most: its ramps may be gentler than any that the axes can do."""
 
     # The way of a step
 
@@ -143,7 +145,7 @@ class Member:
             if interruptions != self._interruptions:
                 await self._driver.disarm()
                 raise CannotDo("stopped", "a stop came while arming", "")
-            self.ticket = ticket
+            self.ticket, self.stop_ns = ticket, lowered.costs.stop_ns
             self._spawn(self._expire(ticket))
             return Armed(
                 durations_s=dict(lowered.durations_s),

@@ -320,7 +320,8 @@ class Unit:
         is followed to its rest."""
         condition = self._condition
         condition.stopped_ns = self._clock.now_ns()
-        condition.stopping_until_ns = condition.stopped_ns + self._driver.capabilities.costs.stop_ns
+        stop_ns = max(self._driver.capabilities.costs.stop_ns, self._member.stop_ns)
+        condition.stopping_until_ns = condition.stopped_ns + stop_ns
         condition.stop_unseen = True
         ticket = self._member.ticket
         if ticket is not None:

@@ -372,8 +372,9 @@ class JobRun:
     async def _rests(self, member: str) -> None:
         works = self._works
         with suppress(BusError):
-            costs = (await works.view.info(member)).costs
-            until_ns = works.clock.now_ns() + costs.stop_ns + REST_NS
+            # The ramps of a step may be gentler than any that its axes can do.
+            stop_ns = max((await works.view.info(member)).costs.stop_ns, works.motion.stops_ns.get(member, 0))
+            until_ns = works.clock.now_ns() + stop_ns + REST_NS
             while works.clock.now_ns() < until_ns:
                 state = await works.view.fresh(member)
                 if state.mode not in ("moving", "stopping") and not any(each.moving for each in state.axes.values()):

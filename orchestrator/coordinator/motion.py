@@ -73,6 +73,7 @@ class Motion:
         self._log = log
         self._under_way: dict[str, Moving] = {}
         self.targets = Targets()
+        self.stops_ns: dict[str, int] = {}  # what stopping each member's last step takes at the most
 
     async def run(
         self,
@@ -94,6 +95,7 @@ class Motion:
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
         await self._proposing.agree(moving, job, step)
+        self.stops_ns |= {name: each.costs.stop_ns for name, each in moving.proposals.items() if each.costs}
         # Events and permits count from before the arming on: a stop, or an open door, may come at any moment.
         moving.guard = self._permits.guard(moving.plan.profiles)
         unlisten = self._view.listen(moving.events.put_nowait)

@@ -207,7 +207,8 @@ class Drive:
         if ramp is None:
             self.halt(End.DONE)
             return
-        run.motion.slowing_ns = self._time.clock.now_ns()
+        if run.motion.slowing_ns is None:
+            run.motion.slowing_ns = self._time.clock.now_ns()
         run.profile, run.origin_ns = ramp, self._time.now_ns()
         self._schedule(run)
 

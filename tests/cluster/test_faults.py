@@ -3,6 +3,7 @@
 # pyright: reportPrivateUsage=false
 
 import asyncio
+import json
 from typing import Any
 
 import pytest
@@ -15,7 +16,7 @@ from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.member import Member
 from adapters.smc30.driver import SmcDriver
 from orchestrator.bus.base import Sample
-from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
@@ -314,3 +315,30 @@ def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: 
             assert motion.end_ns is not None and motion.end_ns / NS_PER_S < refused_s + 0.5 + RAMP_S
 
     run_fleet(main, two_hosts())
+
+
+def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
+    """An SMC30 brakes by the ramp of its move, here that of the slow gantry: much longer than at its limits."""
+    gantry = sync_fleets.smc4000(0)
+    gantry["axes"]["x"]["limits"] = {"velocity": 200, "acceleration": 60}
+    controllers = {"gantry": gantry, "steps": sync_fleets.smc30(0, 1)}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job(f"[{{do: enable, axes: {list(controllers)}}}, {{do: home}}]"))
+        client = fleet.client()
+        step = "[{do: move, to: {gantry.x: 300, steps.x: 15}, speed: 0.5}]"
+        first = await client.submit(job(step, max_start_skew="50 ms"))
+        then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
+        await fleet.until(lambda states: states["steps"].mode == "moving")
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        await client.cancel(first)
+        assert (await client.wait(then)).state == "done"
+        stopped, moved = fleet.controllers["steps"].motions[-2:]
+        assert stopped.slowing_ns is not None and stopped.end_ns is not None
+        assert stopped.end_ns - stopped.slowing_ns > NS_PER_S and stopped.end_ns < moved.start_ns
+        assert not any("moves although it was told to stop" in line for line in fleet.lines)
+        begun = [json.loads(line) for line in fleet.lines if then in line and "job is running" in line]
+        origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+        assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
+
+    run_fleet(main, Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "gentle", "controllers": controllers}))
