@@ -106,7 +106,7 @@ def kills(as_json: bool, rounds: int) -> None:
     """Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
 
     No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must work
-    again by itself. A hundred rounds take a quarter of an hour.
+    again by itself. A hundred rounds take some twenty minutes.
     """
     from orchestrator.cli.demo import EXAMPLES
     from orchestrator.lab.bench_kills import bench_kills

@@ -45,6 +45,7 @@ def test_what_a_campaign_found_is_counted() -> None:
 
 def test_a_round_has_every_cell_of_a_member_and_pairs_change_with_rounds() -> None:
     times = Counter(ROUND)
+    assert set(ROUND) <= set(CELLS)
     of_all = {cell for cell in CELLS if FAULTS[cell.fault].reach == "fleet"}
     assert {cell: times[cell] for cell in set(CELLS) - of_all} == dict.fromkeys(set(CELLS) - of_all, 3)
     # Each counts for all makes that take part in its step; only a fleet with an SMC-4000 has a permit.

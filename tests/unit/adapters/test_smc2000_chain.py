@@ -75,7 +75,8 @@ def test_what_a_program_reports_of_its_error_is_taken_for_nobodys_answer(hold_ms
     run_chain(main, seed=4, hold_ms=hold_ms)
 
 
-def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out():
+@pytest.mark.parametrize("asked", ["poll", "raw"])
+def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: str):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
         world.units[2].set_power(False)
@@ -83,7 +84,7 @@ def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out():
         async def knock() -> None:
             for _ in range(20):
                 with pytest.raises((DriverFault, LinkClosed)):
-                    await world.drivers[2].raw("MG TIME")
+                    await (world.drivers[2].poll() if asked == "poll" else world.drivers[2].raw("MG TIME"))
                 await sleep_ns(world.clock, 20 * NS_PER_MS)
 
         task = asyncio.get_running_loop().create_task(knock())
