@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.coordinator.view import OTHER_NS
 from orchestrator.lab.campaign_faults import Fault
-from orchestrator.lab.campaign_jobs import Order, line_of
+from orchestrator.lab.campaign_jobs import Order
 from orchestrator.lab.campaign_witness import Asked, Witness
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Axis
@@ -271,17 +270,11 @@ class Judge:
         if not set(step.axes) & set(act.touched):
             return
         since_ns = max(broken_ns, motion.start_ns) if act.fault.latent else broken_ns
-        allowed_ns = ASKED_NS if act.fault.name in ("stop", "estop") else self._detection_ns(act, label)
+        allowed_ns = ASKED_NS if act.fault.name in ("stop", "estop") else DETECTION_NS
         # Slowing is what has to begin in time; how long it may take each member has declared.
         slowing_ns = motion.slowing_ns if motion.slowing_ns is not None else end_ns
         if slowing_ns > since_ns + allowed_ns or end_ns > since_ns + allowed_ns + ramp_ns:
             self.violate("3", f"{label} moved {_s(end_ns - broken_ns)} after {act.fault.name} of {act.member}")
-
-    def _detection_ns(self, act: Act, label: str) -> int:
-        """Neighbours on a line have their turns before a silent unit is missed, and before an axis is told."""
-        fleet = self._fleet.fleet
-        missed = max(len(line_of(fleet, name)) - 1 for name in act.touched)
-        return DETECTION_NS + (missed + len(line_of(fleet, label.partition(".")[0])) - 1) * OTHER_NS
 
     def _judge_lease(self, label: str, name: str, axis: str, motion: Motion, step: _Step) -> None:
         """Invariant 7: the job of the step had the lease of the axis when it began to move, and nobody else until it
