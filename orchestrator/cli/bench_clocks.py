@@ -1,5 +1,6 @@
 """`tutti bench clock`, `firing` and `sync`: how well clocks are known, bytes on time, and fleets together."""
 
+import re
 import tempfile
 from pathlib import Path
 
@@ -35,11 +36,22 @@ def clock(as_json: bool, trials: int, seed: int) -> None:
     console.print(table)
 
 
+def _pattern(context: click.Context, parameter: click.Parameter, value: str) -> str:
+    del context, parameter
+    try:
+        re.compile(value)
+    except re.error as error:
+        raise click.BadParameter(f"{value!r} is no regular expression: {error}") from None
+    return value
+
+
 @click.command(epilog="Example: tutti bench sync --trials 100 --plot skews.png")
 @json_option
 @click.option("--trials", default=1000, show_default=True, type=click.IntRange(2, 1_000_000), help="Steps of a row.")
 @click.option("--seed", default=1, show_default=True, help="Of everything random.")
-@click.option("--only", default="", metavar="TEXT", help="Only rows whose fleet or way holds this.")
+@click.option(
+    "--only", default="", metavar="PATTERN", callback=_pattern, help="Only rows whose name this finds: '64', 'clock$'."
+)
 @click.option(
     "--history", default=300, show_default=True, type=click.IntRange(5, 3600), help="Seconds of polls before."
 )
@@ -69,7 +81,7 @@ def sync(
         only,
         history,
         processes,
-        lambda row: None if as_json else console.print(f"[dim]{row.fleet}: {row.way}[/]"),
+        lambda row: None if as_json else console.print(f"[dim]{row.fleet}, {row.way}[/]"),
     )
     if plot is not None:
         plot_skews(starts, plot)

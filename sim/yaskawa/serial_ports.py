@@ -1,5 +1,7 @@
 """Serial ports of the SMC-2000: the main one with echo, `%A` and `!`, and the general one (L829-L1011)."""
 
+import re
+
 from sim.yaskawa.entry import OperatorEntry
 from sim.yaskawa.ports import Port
 from sim.yaskawa.statements import Statement, compile_line
@@ -8,6 +10,8 @@ BUFFER = 256
 """Characters that wait while the interpreter is held; what comes beyond is lost, with error 5 (D13)."""
 _ESCAPE = "\x1b"
 HEARD, MUTED = 1, 0
+_COMMAND = re.compile(r'[^\r;"\n\x12]*[\r;]')
+"""One command with its terminator, and nothing in it that means more than itself."""
 
 
 class CommandPort(Port):
@@ -26,10 +30,20 @@ class CommandPort(Port):
         if not self.open:
             return
         machine = self.machine
+        entry = machine.entries["S"]
+        text = data.decode("latin-1")
+        whole = self._takes_whole(text, entry)
+        self._fresh = self._fresh or whole
+        if whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
+            return  # another unit's, as most of what passes on a chain
         machine.catch_up()
         machine.settle()
-        entry = machine.entries["S"]
-        for character in data.decode("latin-1"):
+        if whole:
+            self._append(text[:-1])
+            self._end_line(HEARD)
+            machine.go_on()
+            return
+        for character in text:
             if machine.echo or machine.interrupting_on or entry.enabled:
                 self._arrive(character, entry)
             else:
@@ -38,6 +52,15 @@ class CommandPort(Port):
                 self.feed()
         self.feed()
         machine.go_on()
+
+    def _takes_whole(self, text: str, entry: OperatorEntry) -> bool:
+        """Whether `text` is a command that does not have to be looked at character by character."""
+        machine = self.machine
+        return (
+            not (machine.echo or machine.interrupting_on or entry.enabled or self._packets)
+            and not (self._control or self._quoted or self._holds() or self.download is not None)
+            and _COMMAND.fullmatch(text) is not None
+        )
 
     def _arrive(self, character: str, entry: OperatorEntry) -> None:
         machine = self.machine
