@@ -4,12 +4,10 @@ Parent and child speak over a Unix datagram pair, one JSON object a datagram, th
 runs nothing else, so its wake-up is limited by the scheduler alone. It ends when its parent's end is closed.
 
 Where it may, it runs as a real-time process: with two busy processes on two processors, the 99th percentile of its
-wake-up is 8 to 29 µs late under SCHED_FIFO, and 3.5 to 3.9 ms without, which is more than all the rest of a start.
-The user who runs adapter hosts needs CAP_SYS_NICE or an rtprio limit for that (`LimitRTPRIO=` in a systemd unit).
+wake-up is 8 to 29 µs late in real time, and 3.5 to 3.9 ms without, which is more than all the rest of a start.
 """
 
 import asyncio
-import contextlib
 import json
 import os
 import select
@@ -21,12 +19,10 @@ from itertools import count
 
 from adapters.contract import Fired
 from adapters.firing import Order, fire
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import begin_live, raw_ns
 from orchestrator.link.base import Link, LinkClosed
 
-# The lowest there is: above everything ordinary, below what else a machine may run in real time.
-REAL_TIME_PRIORITY = 1
-NICE = -10  # where real time is not allowed but this is
 SPIN_NS = 2_000_000  # from here on it spins: a sleeping process wakes up to a millisecond late
 DATAGRAM = 4096
 
@@ -41,7 +37,7 @@ def serve(control: socket.socket) -> None:
     """The child: fire what is ordered over `control`, until its other end is closed."""
     pending: dict[int, _Pending] = {}
     begin_live()
-    _hurry()
+    hurry(Urgency.FIRING)
     while True:
         due = min(pending, key=lambda each: pending[each].order.at_ns, default=None)
         wait_s = None if due is None else max(0.0, (pending[due].order.at_ns - SPIN_NS - raw_ns()) / 1e9)
@@ -52,16 +48,6 @@ def serve(control: socket.socket) -> None:
             _take(control, json.loads(data), fds, pending)
         elif due is not None:
             _fire(control, due, pending.pop(due))
-
-
-def _hurry() -> None:
-    """Run before others, as far as this user may: a help, not a need."""
-    try:
-        # Only here, and not in what it might start: the parent must not lose its processors to a child of it.
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(REAL_TIME_PRIORITY))
-    except (OSError, AttributeError):  # not allowed; not Linux
-        with contextlib.suppress(OSError):
-            os.nice(NICE)
 
 
 def _take(control: socket.socket, message: dict[str, int | str], fds: list[int], pending: dict[int, _Pending]) -> None:

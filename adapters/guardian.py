@@ -20,6 +20,7 @@ from adapters.link.last_stop import last_stop
 from adapters.link.open import open_link
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.link.base import LinkClosed, LinkRefused
@@ -207,6 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sink = open_sink(chosen.log)
         if chosen.parent is not None:
             die_with_parent(chosen.parent)
+        hurry(Urgency.GUARDIAN, children=False)
         asyncio.run(_run(chosen, controllers, sink))
     except BadInput as error:
         sys.stderr.write(f"{error}\n")

@@ -28,6 +28,7 @@ from orchestrator.bus.log import Log, Sink
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Controller, Fleet
@@ -142,6 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
         sys.setswitchinterval(SWITCH_S)
+        hurry(Urgency.HOST)
         asyncio.run(_run(chosen, fleet, open_sink(chosen.log)))
     except BadInput as error:
         sys.stderr.write(f"{error}\n")

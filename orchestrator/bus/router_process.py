@@ -7,6 +7,7 @@ import signal
 import sys
 
 from orchestrator.bus.zenoh_sessions import RouterRefused, open_router
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.parent import die_with_parent
 
 TAKEN = 4
@@ -17,6 +18,7 @@ def main(endpoint: str, parent_pid: int) -> int:
     # Blocked before Zenoh starts its threads, so that only `sigwait` sees them.
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     die_with_parent(parent_pid)
+    hurry(Urgency.BUS)
     try:
         with open_router(endpoint):
             sys.stdout.write("ready\n")

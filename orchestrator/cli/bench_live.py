@@ -39,6 +39,7 @@ _WORDS = {
     "smc2000_19200": "put, SMC-2000 at 19,200 baud",
     "shrc203_38400": "put, SHRC-203 at 38,400 baud",
     "noise": "process woken late by",
+    "spoilt": "rounds played again",
 }
 
 

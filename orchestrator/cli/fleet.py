@@ -78,7 +78,9 @@ async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, b
     several."""
     from orchestrator.bus.estop import put_estop
     from orchestrator.bus.zenoh_bus import open_bus
+    from orchestrator.clock.hurry import Urgency, hurry
 
+    hurry(Urgency.BUS)
     bus, who = await open_bus(connect), actor()
     try:
         put_estop(bus, fleet, f"{who}-{uuid.uuid4().hex[:8]}", who, reason)

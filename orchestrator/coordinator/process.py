@@ -18,6 +18,7 @@ from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.coordinator.coordinator import Coordinator, Court
@@ -122,6 +123,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.parent:
         die_with_parent(options.parent)
+    hurry(Urgency.COORDINATOR)
     try:
         return asyncio.run(run(options))
     except (FileError, RouterUnreachable, AnotherReigns, JournalError) as error:

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-LOOK_S = 0.005
+LOOK_S = 0.02
 GIVE_UP_S = 20.0
 
 

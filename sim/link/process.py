@@ -19,6 +19,7 @@ from typing import TextIO
 
 from pydantic import ValidationError
 
+from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, begin_live
 from sim.core.controller import Branch, Port, PortRefused, SimulatedController, SimulatedLine, Timing, build_line
 from sim.core.oscillator import Oscillator
@@ -45,6 +46,7 @@ class CannotStart(Exception):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Gives 0, or 2 with one line on stderr when it can not start."""
     chosen = parse_arguments(arguments)
+    hurry(Urgency.HOST)
     try:
         asyncio.run(_run(chosen))
     except CannotStart as error:
