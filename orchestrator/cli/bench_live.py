@@ -90,7 +90,7 @@ def estop(as_json: bool, rounds: int) -> None:
     """Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
 
     From its put to the last axis slowing down; in every other round the controllers that do not move are just being
-    armed. The serial ones take part in every ninth round. A thousand rounds take an hour or so.
+    armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of an hour.
     """
     from orchestrator.lab.bench_estop import bench_estop
 

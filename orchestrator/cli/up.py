@@ -10,6 +10,11 @@ import click
 from orchestrator.cli.codes import FAILED, INTERRUPTED
 from orchestrator.cli.common import console, run
 
+ORDINARY = (
+    "this user may not run real-time processes, so stops and starts may be late when the machine is busy; "
+    "give it CAP_SYS_NICE, or an rtprio limit of 5 (`LimitRTPRIO=5` in a systemd unit)"
+)
+
 
 @click.command(
     epilog="""\b
@@ -44,6 +49,7 @@ def up(
 
     Ctrl-C stops the running job first; a process that dies is started again.
     """
+    from orchestrator.clock.hurry import Urgency, hurry
     from orchestrator.lab.checked import load_checked_fleet
     from orchestrator.lab.live import LiveFleet
 
@@ -55,6 +61,8 @@ def up(
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
+        if not hurry(Urgency.COORDINATOR, children=False):
+            _say(ORDINARY)
         starting = loop.create_task(live.start())
         ended = loop.create_task(end.wait())
         await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)

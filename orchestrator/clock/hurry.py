@@ -27,12 +27,23 @@ class Urgency(IntEnum):
     """Sleeps but for the last two milliseconds before a start."""
 
 
-def hurry(urgency: Urgency, children: bool = True) -> None:
-    """Run this thread, and those that it starts from now on, before whatever is less urgent. A help, not a need: where
-    it is not allowed, and outside of Linux, nothing happens. children: those that it starts are as urgent."""
+def hurry(urgency: Urgency, children: bool = True) -> bool:
+    """Run this thread, and those that it starts from now on, before whatever is less urgent; whether that is so.
+
+    A help, not a need: where it is not allowed, and outside of Linux, all goes on as it is. children: processes and
+    threads that this thread starts are as urgent.
+    """
     try:
         policy = os.SCHED_RR if children else os.SCHED_RR | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(urgency))
     except (OSError, AttributeError):
         with contextlib.suppress(OSError):
             os.nice(-2 * urgency)
+        return False
+    return True
+
+
+def calm() -> None:
+    """Be as urgent as any program, though the parent is more."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -13,7 +13,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from orchestrator.client import Job, SubmittedJob, Tutti
-from orchestrator.clock.hurry import Urgency, hurry
+from orchestrator.clock.hurry import Urgency, calm, hurry
 from orchestrator.clock.live import raw_ns
 from orchestrator.lab.bench_fleet import Steps, measured_fleet, run_steps, until
 from orchestrator.lab.bench_spread import Noise, Spread, spread
@@ -69,7 +69,7 @@ def estop_fleet() -> Fleet:
 
 async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> EstopFigures:
     """`rounds` e-stops. command: how the shell calls `tutti`. Raises `UpFailed`, `Refused`, `NothingHappened`."""
-    hurry(Urgency.BUS)
+    hurry(Urgency.BUS)  # for it stands for a client on a machine of its own
     fleet, draw = estop_fleet(), Random(SEED)
     axes = fleet.axis_names
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
@@ -153,7 +153,11 @@ class _Rig:
         put_ns = raw_ns()
         shell: subprocess.Popen[bytes] | None = None
         if command:
-            shell = subprocess.Popen([*command, "estop", "--connect", self._live.connect], stdout=subprocess.DEVNULL)
+            shell = subprocess.Popen(
+                [*command, "estop", "--connect", self._live.connect],
+                stdout=subprocess.DEVNULL,
+                preexec_fn=calm,
+            )
         else:
             await self._tutti.estop("benchmark", timeout_s=0.0)
         slowing = await asyncio.gather(*(self._truths[name].after("slowing", put_ns) for name in movers))

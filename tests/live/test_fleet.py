@@ -13,6 +13,7 @@ import pytest
 from children import LIMIT_S, wait_until
 from fleet import EXAMPLES, READY, SLOW_AXES, RunningFleet, free_port, margin_s, run_tutti, wait_a_moment
 
+from orchestrator.clock.hurry import Urgency
 from orchestrator.clock.live import raw_ns
 from orchestrator.coordinator.journal import Journal
 
@@ -114,6 +115,28 @@ def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
     by_line = {name: member["start_class"] for name, member in moves[2]["members"].items()}
     assert by_line == {"gantry": "clock", "stage": "line", "lift": "line", "tilt": "line"}
     assert len(report["truth"]) == 3
+
+
+def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFleet) -> None:
+    urgencies = {
+        "bus.router_process": Urgency.BUS,
+        "adapters.guardian": Urgency.GUARDIAN,
+        "adapters.host_process": Urgency.HOST,
+        "adapters.firing_process": Urgency.FIRING,
+        "sim.link.process --model smc4000": Urgency.HOST,
+        "coordinator.process": Urgency.COORDINATOR,
+    }
+    found = {words: priorities(shared.pid(words)) for words in urgencies}
+    if "may not run real-time processes" in shared.output():
+        assert found == {words: {0} for words in urgencies}
+    else:
+        assert found == {words: {urgency} for words, urgency in urgencies.items()}
+
+
+def priorities(pid: int) -> set[int]:
+    """Of its own thread and those by which the bus receives; 0 is that of ordinary ones."""
+    tasks = {int(task.name): (task / "comm").read_text() for task in Path(f"/proc/{pid}/task").iterdir()}
+    return {os.sched_getparam(task).sched_priority for task, name in tasks.items() if task == pid or "rx-" in name}
 
 
 def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFleet) -> None:

@@ -17,8 +17,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def test_children_are_as_urgent_unless_they_are_not_meant_to_be(asked: list[tuple[int, int]]) -> None:
-    hurry(Urgency.HOST)
-    hurry(Urgency.GUARDIAN, children=False)
+    assert hurry(Urgency.HOST)
+    assert hurry(Urgency.GUARDIAN, children=False)
     assert asked == [(os.SCHED_RR, Urgency.HOST), (os.SCHED_RR | os.SCHED_RESET_ON_FORK, Urgency.GUARDIAN)]
 
 
@@ -35,5 +35,5 @@ def test_a_user_who_may_not_goes_on_without(monkeypatch: pytest.MonkeyPatch, nic
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(os, "nice", niced.append if nice_too else refused)
-    hurry(Urgency.FIRING)
+    assert not hurry(Urgency.FIRING)
     assert [each < 0 for each in niced] == [True] * nice_too
