@@ -318,8 +318,9 @@ class LiveFleet:
         child.ended = True
         process = child.process
         if process is not None and process.returncode is None:
-            process.send_signal(signal.SIGTERM)
+            # In this order: a signal to a child that has just ended takes its exit code from asyncio's watcher.
             process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGTERM)
             try:
                 async with asyncio.timeout(END_S):
                     await process.wait()
