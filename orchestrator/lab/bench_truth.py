@@ -7,6 +7,7 @@ from typing import Any
 
 LOOK_S = 0.02
 GIVE_UP_S = 20.0
+UNORDERED_NS = 5_000_000_000  # by which an entry may be older than one that was written before it, and more
 
 
 class NothingHappened(Exception):
@@ -43,8 +44,15 @@ class Truth:
         return sum(entry["event"] == event and entry[f"{event}_ns"] > at_ns for entry in self._entries)
 
     def _first(self, event: str, at_ns: int) -> int | None:
-        stamps = (entry[f"{event}_ns"] for entry in self._entries if entry["event"] == event)
-        return min((ns for ns in stamps if ns > at_ns), default=None)
+        """Looks back no further than it must: whoever looks through all keeps this process from what it measures."""
+        first: int | None = None
+        for entry in reversed(self._entries):
+            ns = entry[f"{entry['event']}_ns"]
+            if ns < at_ns - UNORDERED_NS:
+                break
+            if entry["event"] == event and ns > at_ns:
+                first = ns if first is None else min(first, ns)
+        return first
 
     def _read(self) -> None:
         with self._path.open("rb") as file:
