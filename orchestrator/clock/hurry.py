@@ -1,10 +1,10 @@
 """Which of Tutti's processes go first where the processors are busy, as far as the user may say so.
 
 A processor is otherwise shared out fairly, which is wrong for what moves machines: an e-stop to 16 controllers, on two
-processors that also arm others, came to the last axis within 12 ms at the median and 15 ms at the most with real-time
-priorities, and within 27 and 52 ms without (ten each). The user needs CAP_SYS_NICE or an rtprio limit for that
-(`LimitRTPRIO=5` in a systemd unit). The kernel leaves a twentieth of every second to everything else
-(`kernel.sched_rt_runtime_us`), so that a process that runs wild can still be ended from a shell.
+processors that also arm others, came to the last axis within 10 ms at the median and 11 to 23 ms at the most with
+real-time priorities, and within 20 and 42 to 46 ms without (runs of some twenty). The user needs CAP_SYS_NICE or an
+rtprio limit for that (`LimitRTPRIO=5` in a systemd unit). The kernel leaves a twentieth of every second to everything
+else (`kernel.sched_rt_runtime_us`), so that a process that runs wild can still be ended from a shell.
 """
 
 import contextlib
