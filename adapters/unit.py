@@ -184,8 +184,7 @@ class Unit:
         """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
         rates, ticket = self._config.state, self._member.ticket
         about_to_move = ticket is not None and ticket.phase is Phase.RELEASED
-        moves = about_to_move or self._presenter.mode() in ("moving", "jogging", "homing", "stopping")
-        hz = rates.moving_hz if moves else rates.idle_hz
+        hz = rates.moving_hz if about_to_move or self.moves else rates.idle_hz
         timer = asyncio.get_running_loop().call_later(1.0 / hz, self._poke.set)
         try:
             await self._poke.wait()
@@ -334,6 +333,11 @@ class Unit:
             raise
         finally:
             self._poke.set()
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves anything, as far as is known."""
+        return self._presenter.mode() in ("moving", "jogging", "homing", "stopping")
 
     async def estop(self, latch: EstopLatch) -> None:
         """Latch and stop as fast as the controller can; then outputs and motors go where they are safe."""

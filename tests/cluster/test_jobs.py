@@ -5,11 +5,13 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, outcome, run_fleet
 
+from adapters.unit import Unit
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
 from orchestrator.model.report import Lease
+from orchestrator.model.state import EstopLatch
 
 
 def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
@@ -148,6 +150,28 @@ def test_dry_run_says_what_would_be_sent() -> None:
         assert any("PA" in line for line in shown["0"]["commands"]["gantry"])
         assert any(line.startswith(("AP", "MP")) for line in shown["0"]["commands"]["stage"])
         assert not any(c.moving(a) for c in fleet.controllers.values() for a in c.axes)
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize(("axis", "other"), [("stage.u", "gantry"), ("gantry.x", "stage")])
+def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.MonkeyPatch, axis: str, other: str) -> None:
+    told: list[str] = []
+    estop = Unit.estop
+
+    async def noted(unit: Unit, latch: EstopLatch) -> None:
+        told.append(unit.controller)
+        await estop(unit, latch)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        mover = axis.partition(".")[0]
+        client = fleet.client()
+        await client.submit(job(f"[{{do: move, to: {{{axis}: 40}}, speed: 0.1}}]"))
+        await fleet.until(lambda states: states[mover].mode == "moving")
+        monkeypatch.setattr(Unit, "estop", noted)
+        await client.estop("a test")
+        assert told == [mover, other]
 
     run_fleet(main)
 
