@@ -143,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
         sys.setswitchinterval(SWITCH_S)
-        hurry(Urgency.HOST)
+        hurry(Urgency.SERVICE)
         asyncio.run(_run(chosen, fleet, open_sink(chosen.log)))
     except BadInput as error:
         sys.stderr.write(f"{error}\n")

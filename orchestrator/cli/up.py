@@ -12,7 +12,7 @@ from orchestrator.cli.common import console, run
 
 ORDINARY = (
     "this user may not run real-time processes, so stops and starts may be late when the machine is busy; "
-    "give it CAP_SYS_NICE, or an rtprio limit of 5 (`LimitRTPRIO=5` in a systemd unit)"
+    "give it CAP_SYS_NICE, or an rtprio limit of 4 (`LimitRTPRIO=4` in a systemd unit)"
 )
 
 
@@ -61,7 +61,7 @@ def up(
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end.set)
-        if not hurry(Urgency.COORDINATOR, children=False):
+        if not hurry(Urgency.SERVICE, children=False):
             _say(ORDINARY)
         starting = loop.create_task(live.start())
         ended = loop.create_task(end.wait())

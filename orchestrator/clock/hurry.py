@@ -3,7 +3,7 @@
 A processor is otherwise shared out fairly, which is wrong for what moves machines: an e-stop to 16 controllers, on two
 processors that also arm others, came to the last axis within 10 ms at the median and 11 to 23 ms at the most with
 real-time priorities, and within 20 and 42 to 46 ms without (runs of some twenty). The user needs CAP_SYS_NICE or an
-rtprio limit for that (`LimitRTPRIO=5` in a systemd unit). The kernel leaves a twentieth of every second to everything
+rtprio limit for that (`LimitRTPRIO=4` in a systemd unit). The kernel leaves a twentieth of every second to everything
 else (`kernel.sched_rt_runtime_us`), so that a process that runs wild can still be ended from a shell.
 """
 
@@ -15,15 +15,14 @@ from enum import IntEnum
 class Urgency(IntEnum):
     """Real-time priorities, the lowest there are: below whatever else a machine runs in real time."""
 
-    COORDINATOR = 1
-    """Plans for tens of milliseconds at a time, and no stop waits for it."""
-    HOST = 2
-    """Adapter hosts; and simulators, for they stand in for hardware, which runs beside them."""
-    BUS = 3
+    SERVICE = 1
+    """Coordinator and adapter hosts, who wait for each other's answers: with the coordinator behind them, an answer to
+    `go` came too late for it on two busy processors. And simulators, for they stand in for hardware."""
+    BUS = 2
     """The router, and who gives an e-stop: little to do, and everybody waits for it."""
-    GUARDIAN = 4
+    GUARDIAN = 3
     """Must be able to end an adapter host that runs wild."""
-    FIRING = 5
+    FIRING = 4
     """Sleeps but for the last two milliseconds before a start."""
 
 

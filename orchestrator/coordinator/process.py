@@ -123,7 +123,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.parent:
         die_with_parent(options.parent)
-    hurry(Urgency.COORDINATOR)
+    hurry(Urgency.SERVICE)
     try:
         return asyncio.run(run(options))
     except (FileError, RouterUnreachable, AnotherReigns, JournalError) as error:

@@ -121,10 +121,10 @@ def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFl
     urgencies = {
         "bus.router_process": Urgency.BUS,
         "adapters.guardian": Urgency.GUARDIAN,
-        "adapters.host_process": Urgency.HOST,
+        "adapters.host_process": Urgency.SERVICE,
         "adapters.firing_process": Urgency.FIRING,
-        "sim.link.process --model smc4000": Urgency.HOST,
-        "coordinator.process": Urgency.COORDINATOR,
+        "sim.link.process --model smc4000": Urgency.SERVICE,
+        "coordinator.process": Urgency.SERVICE,
     }
     found = {words: priorities(shared.pid(words)) for words in urgencies}
     if "may not run real-time processes" in shared.output():

@@ -17,13 +17,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def test_children_are_as_urgent_unless_they_are_not_meant_to_be(asked: list[tuple[int, int]]) -> None:
-    assert hurry(Urgency.HOST)
+    assert hurry(Urgency.SERVICE)
     assert hurry(Urgency.GUARDIAN, children=False)
-    assert asked == [(os.SCHED_RR, Urgency.HOST), (os.SCHED_RR | os.SCHED_RESET_ON_FORK, Urgency.GUARDIAN)]
+    assert asked == [(os.SCHED_RR, Urgency.SERVICE), (os.SCHED_RR | os.SCHED_RESET_ON_FORK, Urgency.GUARDIAN)]
 
 
 def test_what_everybody_waits_for_goes_first() -> None:
-    assert Urgency.FIRING > Urgency.GUARDIAN > Urgency.BUS > Urgency.HOST > Urgency.COORDINATOR
+    assert Urgency.FIRING > Urgency.GUARDIAN > Urgency.BUS > Urgency.SERVICE
 
 
 @pytest.mark.parametrize("nice_too", [True, False])
