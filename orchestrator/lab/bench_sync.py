@@ -34,8 +34,9 @@ class Case:
     """A row: a fleet, and how it moves.
 
     cruise_s: at half the speed limit. step: more fields of the move. trials: share of those asked for. steps_a_world:
-    few where it matters how different the crystals are. most_ms: what its figures may be at the most. bound: the p99 of
-    its start skew that nobody can do better than, where that is known.
+    few where it matters how different the crystals are; None: forty, or more where many are asked for. most_ms: what
+    its figures may be at the most. bound: the p99 of its start skew that nobody can do better than, where that is
+    known.
     """
 
     name: str
@@ -44,7 +45,7 @@ class Case:
     limits: dict[str, float] = field(default_factory=dict[str, float])
     step: dict[str, Any] = field(default_factory=dict[str, Any])
     trials: float = 1.0
-    steps_a_world: int = STEPS_A_WORLD
+    steps_a_world: int | None = None
     asked: str = ""
     most_ms: dict[str, float] = field(default_factory=dict[str, float])
     bound: Bound | None = None
@@ -222,9 +223,8 @@ class World(NamedTuple):
 
 
 def _worlds(row: int, trials: int, seed: int, history_s: int) -> Iterator[World]:
-    few = CASES[row].steps_a_world
     # The polls before take as long as forty steps.
-    a_world = max(few, trials // WORLDS) if few == STEPS_A_WORLD else few
+    a_world = CASES[row].steps_a_world or max(STEPS_A_WORLD, trials // WORLDS)
     for number, begun in enumerate(range(0, trials, a_world)):
         yield World(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
 
