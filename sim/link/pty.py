@@ -19,8 +19,9 @@ from sim.link.pacing import PacedLine
 
 PORT = "serial"
 
-# As many unread bytes as the operating system keeps of a real port.
-UNREAD_BYTES = 4095
+# The operating system keeps 4095 unread bytes of a real port. Of a pseudo-terminal it tells only a moment later what it
+# has been given, and keeps what is beyond where nobody sees it: hence some less.
+UNREAD_BYTES = 4095 - 1024
 
 # As many unsent bytes as the operating system takes for a real port.
 UNSENT_BYTES = 4096
