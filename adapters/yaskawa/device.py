@@ -210,12 +210,6 @@ class Device:
         """The earliest instant at which a command sent at `sent_ns` can have read the counter."""
         return sent_ns + self._options.decode_min_us * NS_PER_US
 
-    async def read_back(self, command: str, axes: Iterable[int]) -> dict[int, int]:
-        """What `command` holds for axes, by index, whatever number format a person has set."""
-        indices = list(axes)
-        values, _ = await self.session.numbers(*(f"_{command}{AXIS_LETTERS[index]}" for index in indices))
-        return {index: int(value) for index, value in zip(indices, values, strict=True)}
-
     # Beginning and stopping motion
 
     def together(self) -> AbstractAsyncContextManager[None]:

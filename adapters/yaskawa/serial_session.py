@@ -13,6 +13,7 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
 from adapters.contract import CannotDo, DriverFault
+from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.line import Line, Turn, address
 from adapters.yaskawa.serial_replies import Heard, parse
 from adapters.yaskawa.session import Answer, Refused, Session, parse_numbers
@@ -34,6 +35,7 @@ _REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is r
 _MARK = 0x80
 _END_OF_DATA = "\x1a"
 _PART_CHARACTERS = 240  # of a program at once: other units of a chain wait an eighth of a second for their turn
+_OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX,",",')
 _ELEMENTS_OF_LINE = 10  # at most 70 characters
 
 
@@ -74,6 +76,12 @@ class SerialSession(Session):
         given = list(commands)
         if given:
             await self._told("\r".join(given), still)
+
+    async def values(self, operands: Sequence[str]) -> list[float]:
+        found: list[float] = []
+        for at in range(0, len(operands), _OPERANDS_OF_LINE):
+            found += (await self.numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
+        return found
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         found, answer = await self._told(command, still)

@@ -15,10 +15,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.contract import CannotDo, DriverFault
+from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.words import REMEDIES
 from orchestrator.link.base import Link, LinkClosed
 
 MAX_PACKET = 470  # bytes (L1735)
+OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX{F10.0},",",')
 DOWNLOAD_REFUSED_S = 0.25  # a download that is refused is refused by then
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet
 END_OF_DATA = "\x1a"  # control Z, of programs and arrays (L4134, L8552, L9116)
@@ -78,32 +80,48 @@ class Session:
 
         Raises `Refused` for the last one that was, of which the controller still knows why.
         """
+        for lines in await self._ask_each(commands, still):
+            self.unsolicited.extend(lines)
+
+    async def values(self, operands: Sequence[str]) -> list[float]:
+        """The values of any number of operands, as `numbers` reads them, in one go."""
+        parts = [operands[at : at + OPERANDS_OF_LINE] for at in range(0, len(operands), OPERANDS_OF_LINE)]
+        commands = [_message(part) for part in parts]
+        found: list[float] = []
+        for part, command, lines in zip(parts, commands, await self._ask_each(commands), strict=True):
+            self.unsolicited.extend(lines[:-1])
+            found += parse_numbers("".join(lines[-1:]), len(part), command)
+        return found
+
+    async def _ask_each(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> list[list[str]]:
+        """The lines that each of some commands is answered by, as many of them in a packet as it holds."""
+        found: list[list[str]] = []
         async with self._turn:
             await self._get_in_step()
             if still is not None:
                 still()
             for packet in _packets(commands):
-                refused: list[str] = []
+                replies: list[_Parsed] = []
 
-                def all_replies(packet: list[str] = packet, refused: list[str] = refused) -> _Parsed | None:
-                    refused.clear()
-                    lines: list[str] = []
+                def all_replies(packet: list[str] = packet, replies: list[_Parsed] = replies) -> _Parsed | None:
+                    replies.clear()
                     used = 0
-                    for command in packet:
+                    for _ in packet:
                         parsed = parse_reply(self._buffer[used:])
                         if parsed is None:
                             return None
-                        lines += parsed.lines
+                        replies.append(parsed)
                         used += parsed.used
-                        if parsed.refused:
-                            refused.append(command)
-                    return _Parsed(lines, bool(refused), used)
+                    lines = [line for each in replies for line in each.lines]
+                    return _Parsed(lines, any(each.refused for each in replies), used)
 
-                parsed, _ = await self._exchange("\r".join(packet), all_replies)
-                if parsed.refused:
+                await self._exchange("\r".join(packet), all_replies)
+                refused = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
+                if refused:
                     raise await self._refusal(refused[-1])
                 self._in_step = True
-                self.unsolicited.extend(parsed.lines)
+                found += (reply.lines for reply in replies)
+        return found
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.
@@ -318,14 +336,16 @@ class Session:
         )
 
     async def numbers(self, *operands: str) -> tuple[list[float], Answer]:
-        """The values of operands, variables or expressions, read in one command, with up to four decimals.
-
-        With a format of its own (L7558), because a person may have set any; commas between the values, because the
-        sign column alone may not part them.
-        """
-        command = "MG " + ',",",'.join(f"{operand}{{F10.{_decimals(operand)}}}" for operand in operands)
+        """The values of operands, variables or expressions, read in one command, with up to four decimals."""
+        command = _message(operands)
         answer = await self.ask(command)
         return parse_numbers(answer.lines[0], len(operands), command), answer
+
+
+def _message(operands: Sequence[str]) -> str:
+    """What prints them: with a format of its own (L7558), because a person may have set any; commas between the values,
+    because the sign column alone may not part them."""
+    return "MG " + ',",",'.join(f"{operand}{{F10.{_decimals(operand)}}}" for operand in operands)
 
 
 def _decimals(operand: str) -> int:

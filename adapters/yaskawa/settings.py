@@ -57,9 +57,9 @@ async def _load(device: Device, name: str, index: int, wanted: Mapping[str, int]
     letter = AXIS_LETTERS[index]
     for command, value in wanted.items():
         await device.session.tell(f"{command}{letter}={value}")
-        held = (await device.read_back(command, [index]))[index]
+        (held,), _ = await device.session.numbers(f"_{command}{letter}")
         if held != value:
-            raise _mismatch(f"{command}{letter}", str(held), str(value), "does the unit take this value?", name)
+            raise _mismatch(f"{command}{letter}", f"{held:g}", str(value), "does the unit take this value?", name)
 
 
 def _mismatch(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> DriverFault:

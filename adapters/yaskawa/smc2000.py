@@ -46,7 +46,7 @@ STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
 # For the costs declared: characters of an exchange, out and in, as they are when arming.
 EXCHANGE_CHARACTERS = 36
 POLL_CHARACTERS = 24, 24  # of a poll's line, and more for each axis
-ARM_EXCHANGES = 11
+ARM_EXCHANGES = 9
 DISARM_EXCHANGES = 8  # what must fit in before the start: promise, release, and taking it all back
 GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to note its start

@@ -41,7 +41,7 @@ FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP nothing else tells that a client has 
 BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
 LONGEST_EXCHANGE = 80  # characters, to and fro
 POINTS = 8  # inputs, outputs (L390, L470)
-ARM_EXCHANGES = 20
+ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 8
 RELEASE_NS = STILL_TO_COME * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)

@@ -1,6 +1,6 @@
 """A start at a sample: loaded, let through the gate, watched, and known by the program's own evidence."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, DriverFault, Outcome, Span
@@ -8,14 +8,23 @@ from adapters.yaskawa import arrays
 from adapters.yaskawa.device import Device
 from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records, fields
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, GATE_SEEN_TICKS, GATE_TICKS, STEP_THREAD, entry
-from adapters.yaskawa.record import Record
+from adapters.yaskawa.program import (
+    DOG_THREAD,
+    EDGE_THREAD,
+    GATE_SEEN_TICKS,
+    GATE_STEP_TICKS,
+    GATE_TICKS,
+    STEP_THREAD,
+    entry,
+)
+from adapters.yaskawa.record import AXIS_LETTERS, Record
 from adapters.yaskawa.words import stop_words
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 
 TICKS_MAX = 2_147_483_647  # L10613
 STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
+TO_THE_GATE = 8  # commands: XQ, the jump to the gate, five settings there, and the first wait
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
@@ -61,20 +70,22 @@ class Start:
         loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
         await self._device.stops_carried_out()
         self._require_ready(await self._device.record(), lowered)
-        session, waits, drives = self._device.session, lowered.waits, lowered.drives
+        session, drives = self._device.session, lowered.drives
         checked_ns = self._clock.now_ns()
         # The sample of the begin lies beside T0 by a part of one.
         phase = ticks + first - mapping.ticks(t0_ns)
-        await self._load(lowered, phase, mapping.tick_ns)
+        # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
+        gate = ("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}")
+        gate = (*gate, f"XLI={_line(lowered)}", self._food(ticks))
+        await self._load(lowered, phase, mapping.tick_ns, gate)
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
-        # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        settings = ("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}")
-        await session.tell_all((*settings, f"XLI={0 if waits is None else waits.number}", self._food(ticks)))
         read_ns = self._clock.now_ns()
         contour = isinstance(lowered.load, Records)
-        await session.tell(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}")
+        begun = await session.ask(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}", 0)
         self._loaded = loaded
+        # It is not there before; to ask meanwhile would hold it up.
+        await sleep_until_ns(self._clock, begun.sent_ns + TO_THE_GATE * self._options.decode_us * NS_PER_US)
         await self._wait_for_program(loaded)
         if drives is not None:
             await session.tell_all((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.hold_ticks}"))
@@ -87,26 +98,34 @@ class Start:
             "arm": done_ns - read_ns,
         }
 
-    async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float) -> None:
+    async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float, gate: Sequence[str]) -> None:
+        """Load the move, and with it what `gate` sets."""
         session, load = self._device.session, lowered.load
         if not isinstance(load, Records):
-            await session.tell_all(load.commands)
+            await session.tell_all((*gate, *load.commands))
             return
         await arrays.load(session, load.arrays(phase, tick_ns), load.packets)
-        await session.tell(f"DC {fields(load.brakes)}")
-        await session.tell_all(f"{name}={value}" for name, value in load.variables.items())
+        variables = (f"{name}={value}" for name, value in load.variables.items())
+        await session.tell_all((*gate, f"DC {fields(load.brakes)}", *variables))
 
     async def _read_back(self, lowered: LoweredMoves) -> None:
         load = lowered.load
-        for command, wanted in load.held.items():
-            if wanted:
-                held = await self._device.read_back(command, wanted)
-                if held != wanted:
-                    raise CannotDo("read-back", f"{command} reads back as {held}, not {wanted}", "try again")
+        wanted = {
+            f"_{command}{AXIS_LETTERS[index]}": value
+            for command, values in self._registers(lowered).items()
+            for index, value in values.items()
+        }
         if isinstance(load, Records):
-            values, _ = await self._device.session.numbers(*load.variables)
-            if values != list(load.variables.values()):
-                raise CannotDo("read-back", f"{values} read back for {load.variables}", "try again")
+            wanted |= load.variables
+        wanted["XLI"] = _line(lowered)
+        held = await self._device.session.values(list(wanted))
+        for (operand, value), found in zip(wanted.items(), held, strict=True):
+            if found != value:
+                raise CannotDo("read-back", f"{operand} reads back as {found:g}, not {value}", "try again")
+
+    def _registers(self, lowered: LoweredMoves) -> Mapping[str, Mapping[int, int]]:
+        """What is read back, by command and axis."""
+        return lowered.load.held
 
     def _food(self, ticks: int) -> str:
         """What keeps the dog quiet until some time after sample `ticks`."""
@@ -160,7 +179,8 @@ class Start:
         loaded, session = self._require_loaded(), self._device.session
         if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - STILL_TO_COME:
             raise CannotDo("late", "it is too late to release the start", "give more lead time")
-        await session.tell("XGO=1")
+        opened = await session.ask("XGO=1", 0)
+        await sleep_until_ns(self._clock, opened.sent_ns + round(GATE_STEP_TICKS * loaded.mapping.tick_ns))
         while True:
             (passed, late, running), _ = await session.numbers("XOK", "XLATE", f"_HX{STEP_THREAD}")
             if late:
@@ -307,3 +327,8 @@ class Start:
                 "decode_us to what a command of its programs really takes"
             )
         return ""
+
+
+def _line(lowered: LoweredMoves) -> int:
+    """The input to begin by, 0 for none."""
+    return 0 if lowered.waits is None else lowered.waits.number

@@ -164,14 +164,13 @@ def fit(
         more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
         candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
     finalists = _distinct(candidates[np.argsort(ranks, kind="stable")[:ALIKE]])
-    laws, exact = _Law.by(way, finalists[:, None, :]), _Planned(profile, tick_s)
-    errors = _path_errors(exact, laws, phase)
-    best = int(np.argmin(off(laws.length[:, 0]) + errors))
-    if place is not None:
-        errors = _path_errors(exact, laws, 0.0)
+    laws = _Law.by(way, finalists[:, None, :])
+    # As they lie on the samples, to choose; and about T0, to tell.
+    errors = _path_errors(_Planned(profile, tick_s), laws, np.array([phase, 0.0]).reshape(2, 1, 1))
+    best = int(np.argmin(off(laws.length[:, 0]) + errors[0]))
     length, (speed, up, down) = float(laws.length[best, 0]), (int(each) for each in finalists[best])
     at_limit = length > planned and (speed == top_speed or up == top_ramp)
-    return Trapezoid(distance, speed, up, down, length, length - planned, at_limit, float(errors[best]))
+    return Trapezoid(distance, speed, up, down, length, length - planned, at_limit, float(errors[1, best]))
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
@@ -206,7 +205,13 @@ def _values(value: Array, step: int, top: int, neighbours: Array) -> Array:
 def _distinct(candidates: Array) -> Array:
     """The first few that differ: one may have been found in several ways."""
     rows: list[list[float]] = candidates.tolist()
-    return np.array(list(dict.fromkeys(map(tuple, rows)))[:FINALISTS])
+    found: list[list[float]] = []
+    for row in rows:
+        if row not in found:
+            found.append(row)
+            if len(found) == FINALISTS:
+                break
+    return np.array(found)
 
 
 def _together(*parts: Array) -> Array:
@@ -270,13 +275,16 @@ class _Planned:
         return math.copysign(1.0, self._way) * np.where(time_s >= self._end_s, self._way, where)
 
 
-def _path_errors(plan: _Planned, laws: _Law, phase: float) -> Array:
-    """Largest distance between plan and the execution of each law when that starts `phase` samples later, in counts.
+def _path_errors(plan: _Planned, laws: _Law, phases: Array) -> Array:
+    """Largest distance between plan and the execution of each law (last axis) when that starts so many samples later,
+    in counts.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
     grid = _GRID * np.maximum(laws.length, plan.length)
     joints = np.broadcast_to(plan.joints, (len(grid), len(plan.joints)))
-    instants = np.concatenate([joints, *(phase + each for each in laws.joints), grid], axis=1)
-    return 0.5 + abs(laws.at(instants - phase) - plan.at(instants)).max(axis=1)
+    own = np.concatenate(laws.joints, axis=1)
+    parts = (np.broadcast_to(each, (len(phases), *each.shape)) for each in (joints, grid))
+    instants = np.concatenate([*parts, phases + own], axis=2)
+    return 0.5 + abs(laws.at(instants - phases) - plan.at(instants)).max(axis=2)

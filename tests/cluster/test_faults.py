@@ -146,6 +146,7 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
         before = len(fleet.controllers["gantry"].motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
+        await asyncio.sleep(0.1)  # by then its program waits for nothing but its sample
         fleet.freeze("sim/gantry")
         report = await client.wait(job_id)
         assert report.state == "failed" and "gantry" in report.reason

@@ -409,7 +409,7 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
             await armed(world, jerked({"x": (0, 90_000)}), 2.0)
             await world.driver.verify()
             await world.driver.go()
-            for _ in range(30):
+            for _ in range(40):
                 await world.driver.poll()
         world.wire.to_far, world.wire.cut = None, False
         moving = bool(world.controller.motions)
