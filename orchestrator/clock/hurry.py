@@ -7,9 +7,12 @@ rtprio limit for that (`LimitRTPRIO=4` in a systemd unit). The kernel leaves a t
 else (`kernel.sched_rt_runtime_us`), so that a process that runs wild can still be ended from a shell.
 """
 
+import asyncio
 import contextlib
 import os
 from enum import IntEnum
+
+STEP_BACK_S = 0.1
 
 
 class Urgency(IntEnum):
@@ -40,6 +43,12 @@ def hurry(urgency: Urgency, children: bool = True) -> bool:
             os.nice(-2 * urgency)
         return False
     return True
+
+
+def step_back(urgency: Urgency) -> None:
+    """Let whatever is urgent go before this thread, which is of `urgency`, for a moment; on a running loop."""
+    calm()
+    asyncio.get_running_loop().call_later(STEP_BACK_S, hurry, urgency)
 
 
 def calm() -> None:

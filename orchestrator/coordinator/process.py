@@ -18,7 +18,7 @@ from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
-from orchestrator.clock.hurry import Urgency, hurry
+from orchestrator.clock.hurry import Urgency, hurry, step_back
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.coordinator.coordinator import Coordinator, Court
@@ -31,8 +31,8 @@ from orchestrator.model.fleet import Fleet
 BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, DEPOSED = 2, 3, 4, 5, 6
 
 
-async def run(options: argparse.Namespace) -> int:
-    """Reign until told to end; the exit code."""
+async def run(options: argparse.Namespace, urgent: bool) -> int:
+    """Reign until told to end; the exit code. urgent: whether it runs in real time."""
     fleet = load_fleet(options.fleet)
     bus = await open_bus(options.connect)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
@@ -45,7 +45,7 @@ async def run(options: argparse.Namespace) -> int:
                 return 0
             # It may have been reloaded meanwhile.
             fleet = load_fleet(options.fleet)
-        return await _reign(options, fleet, bus, end)
+        return await _reign(options, fleet, bus, end, urgent)
     finally:
         await bus.close()
 
@@ -66,7 +66,7 @@ async def _stood_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyn
     return True
 
 
-async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event) -> int:
+async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, urgent: bool) -> int:
     loop = asyncio.get_running_loop()
     journal, runs = Journal(options.journal), Threaded()
     court = Court(
@@ -81,6 +81,9 @@ async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: async
     )
     coordinator = Coordinator(fleet, court)
     try:
+        if urgent:
+            # Adapters stop without it: what it does about its jobs must not keep them from that.
+            await bus.subscribe(court.keys.estop, lambda _: step_back(Urgency.SERVICE))
         await coordinator.start(options.take_over, vacant=options.standby)
         Reigning(options.journal).write()
         begin_live()
@@ -123,9 +126,9 @@ def main() -> int:
     options = parser.parse_args()
     if options.parent:
         die_with_parent(options.parent)
-    hurry(Urgency.SERVICE)
+    urgent = hurry(Urgency.SERVICE)
     try:
-        return asyncio.run(run(options))
+        return asyncio.run(run(options, urgent))
     except (FileError, RouterUnreachable, AnotherReigns, JournalError) as error:
         sys.stderr.write(f"{error}\n")
         codes = {FileError: BAD_INPUT, RouterUnreachable: NO_BUS, AnotherReigns: ANOTHER, JournalError: BAD_JOURNAL}

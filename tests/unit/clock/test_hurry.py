@@ -1,10 +1,12 @@
 """Real-time priorities: asked for where there are any, and never needed."""
 
+import asyncio
 import os
+from collections.abc import Callable
 
 import pytest
 
-from orchestrator.clock.hurry import Urgency, hurry
+from orchestrator.clock.hurry import STEP_BACK_S, Urgency, hurry, step_back
 
 
 @pytest.fixture
@@ -37,3 +39,20 @@ def test_a_user_who_may_not_goes_on_without(monkeypatch: pytest.MonkeyPatch, nic
     monkeypatch.setattr(os, "nice", niced.append if nice_too else refused)
     assert not hurry(Urgency.FIRING)
     assert [each < 0 for each in niced] == [True] * nice_too
+
+
+def test_who_steps_back_is_as_urgent_again_a_moment_later(
+    asked: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        monkeypatch.setattr(loop, "call_later", lambda after_s, call, *values: later.append((after_s, call, values)))
+        step_back(Urgency.SERVICE)
+
+    later: list[tuple[float, Callable[..., object], tuple[object, ...]]] = []
+    asyncio.run(main())
+    assert asked == [(os.SCHED_OTHER, 0)]
+    ((after_s, call, values),) = later
+    assert after_s == STEP_BACK_S
+    call(*values)
+    assert asked[1:] == [(os.SCHED_RR, Urgency.SERVICE)]
