@@ -59,7 +59,7 @@ async def _load(device: Device, name: str, index: int, wanted: Mapping[str, int]
         await device.session.tell(f"{command}{letter}={value}")
         (held,), _ = await device.session.numbers(f"_{command}{letter}")
         if held != value:
-            raise _mismatch(f"{command}{letter}", f"{held:g}", str(value), "does the unit take this value?", name)
+            raise _mismatch(f"{command}{letter}", f"{held:.0f}", str(value), "does the unit take this value?", name)
 
 
 def _mismatch(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> DriverFault:

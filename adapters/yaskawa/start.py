@@ -121,7 +121,7 @@ class Start:
         held = await self._device.session.values(list(wanted))
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
-                raise CannotDo("read-back", f"{operand} reads back as {found:g}, not {value}", "try again")
+                raise CannotDo("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
 
     def _registers(self, lowered: LoweredMoves) -> Mapping[str, Mapping[int, int]]:
         """What is read back, by command and axis."""
