@@ -134,12 +134,10 @@ class Device:
 
     async def unload(self) -> None:
         """Halt our program and leave contour mode: nothing starts, now or later."""
-        for thread in (STEP_THREAD, DOG_THREAD, EDGE_THREAD):
-            await self.session.tell(f"HX{thread}")
-        for command in (*LEAVE_CONTOUR, RELEASE):
-            # Outside contour mode there is nothing to leave, without a line none to release: the controller says so.
-            with suppress(Refused):
-                await self.session.tell(command)
+        threads = (STEP_THREAD, DOG_THREAD, EDGE_THREAD)
+        # Outside contour mode there is nothing to leave, without a line none to release: the controller says so.
+        with suppress(Refused):
+            await self.session.tell_all((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, RELEASE))
 
     async def _require_replaceable(self, present: list[str]) -> None:
         running, _ = await self.session.numbers(*(f"_HX{thread}" for thread in range(4)))

@@ -1,14 +1,14 @@
 """An SMC-2000 behind a serial line: reached, identified, given its resident program, read in one printed line."""
 
 from collections.abc import Iterable, Sequence
-from contextlib import AbstractAsyncContextManager, suppress
+from contextlib import AbstractAsyncContextManager
 
 from adapters.contract import DriverFault, Identity
 from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
 from adapters.yaskawa.line import Line
 from adapters.yaskawa.model import LEAVE_CONTOUR
-from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THREAD
+from adapters.yaskawa.program import RELEASE
 from adapters.yaskawa.record import MOTOR_OFF, MOVING, OFF_ON_ERROR, STOPPING, VELOCITY_SCALE, AxisRecord, Record
 from adapters.yaskawa.serial_polls import PolledSession
 from adapters.yaskawa.serial_session import ADDRESS
@@ -119,12 +119,6 @@ class SerialDevice(Device):
             await session.tell(f"{ADDRESS}={self._unit}")
             session.know_address()
         await arrays.free(session, smc2000_program.arrays(self._axes))
-
-    async def unload(self) -> None:
-        # In one go. Outside contour mode there is nothing to leave, without a line none to release: it says so.
-        threads = (STEP_THREAD, DOG_THREAD, EDGE_THREAD)
-        with suppress(Refused):
-            await self.session.tell_all((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, RELEASE))
 
     async def _unload_ours(self) -> None:
         """Ours may still wait for a start that nobody will release any more: its first line tells that it is ours, long
