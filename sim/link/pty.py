@@ -6,10 +6,7 @@ side open too: so clients may come and go, and what nobody reads can be dropped,
 
 import asyncio
 import contextlib
-import fcntl
 import os
-import struct
-import termios
 import tty
 from pathlib import Path
 
@@ -19,9 +16,8 @@ from sim.link.pacing import PacedLine
 
 PORT = "serial"
 
-# The operating system keeps 4095 unread bytes of a real port. Of a pseudo-terminal it tells only a moment later what it
-# has been given, and keeps what is beyond where nobody sees it: hence some less.
-UNREAD_BYTES = 4095 - 1024
+# As many bytes as the operating system keeps of a real port that nobody reads.
+UNREAD_BYTES = 4095
 
 # As many unsent bytes as the operating system takes for a real port.
 UNSENT_BYTES = 4096
@@ -42,6 +38,7 @@ class PtyServer:
         self._far: Connection | None = controller.connect(PORT, self._out.put, self._hung_up)
         self._loop = asyncio.get_running_loop()
         self._reading = False
+        self._unread_most = 0
         self._master, self._slave = os.openpty()
         try:
             tty.setraw(self._slave)
@@ -109,16 +106,21 @@ class PtyServer:
     # Out
 
     def _leave(self, data: bytes) -> None:
-        overrun = self._unread() + len(data) - UNREAD_BYTES
-        if overrun > 0:
-            with contextlib.suppress(BlockingIOError):
-                os.read(self._slave, overrun)
+        self._unread_most += len(data)
+        if self._unread_most > UNREAD_BYTES:
+            data = (self._take_back() + data)[-UNREAD_BYTES:]
+            self._unread_most = len(data)
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
 
-    def _unread(self) -> int:
-        """Bytes that the client has not read."""
-        return struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0" * 4))[0]
+    def _take_back(self) -> bytes:
+        """What the client has not read. To ask how much it is would not do: a busy operating system moves what it was
+        given later to where it counts it. Only to read until nothing is left finds everything."""
+        taken = b""
+        with contextlib.suppress(BlockingIOError):  # or nothing: as the client has set its port
+            while found := os.read(self._slave, UNREAD_BYTES):
+                taken += found
+        return taken
 
     def _hung_up(self) -> None:
         self._far = None
