@@ -75,9 +75,10 @@ class Start:
         # The sample of the begin lies beside T0 by a part of one.
         phase = ticks + first - mapping.ticks(t0_ns)
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        gate = ("XGO=0", "XARM=0", "XOK=0", f"XT0={ticks}", f"HX{DOG_THREAD}")
-        gate = (*gate, f"XLI={_line(lowered)}", self._food(ticks))
-        await self._load(lowered, phase, mapping.tick_ns, gate)
+        shut = ("XGO=0", "XARM=0", "XOK=0", f"HX{DOG_THREAD}")
+        await self._load(
+            lowered, phase, mapping.tick_ns, (*shut, f"XT0={ticks}", f"XLI={_line(lowered)}", self._food(ticks))
+        )
         wired_ns = self._clock.now_ns()
         await self._read_back(lowered)
         read_ns = self._clock.now_ns()

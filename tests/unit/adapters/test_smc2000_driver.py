@@ -1,5 +1,6 @@
 """The SMC-2000's driver against the simulated controller, in virtual time; verdicts by the simulator's truth."""
 
+import re
 from random import Random
 
 import pytest
@@ -27,6 +28,28 @@ def test_a_step_runs_from_connect_to_its_outcome():
             off_ns = motion.start_ns - t0_ns
             assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
             assert motion.end_counts == profiles[axis].end_counts
+
+    run(main)
+
+
+@pytest.mark.parametrize(
+    ("told", "read"), [(b"XLI=", "XLI"), (b"SP ", "_SPX"), (b"AC ", "_ACX"), (b"DC ", "_DCX"), (b"PA ", "_PRX")]
+)
+def test_what_came_with_another_digit_refuses_the_step(told: bytes, read: str):
+    def garble(data: bytes) -> bytes:
+        return re.sub(rb"(%s)(\d)" % told, lambda found: b"%s%d" % (found[1], int(found[2]) % 9 + 1), data)
+
+    async def main(world: World) -> None:
+        await world.ready()
+        world.wire.to_far = garble
+        mapping = world.driver.mapping()
+        lowered = world.driver.lower({"x": trapezoid(0, 40_000, 80_000, 700_000)}, StartWay(), mapping)
+        with pytest.raises(CannotDo, match=f"{read} reads back as") as refusal:
+            await world.driver.arm(lowered, world.clock.now_ns() + 2 * NS_PER_S, mapping)
+        assert refusal.value.refusal.code == "read-back"
+        world.wire.to_far = None
+        await world.driver.disarm()
+        assert not world.controller.motions
 
     run(main)
 

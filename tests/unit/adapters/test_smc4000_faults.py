@@ -48,6 +48,20 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
     run(main, options=options)
 
 
+def test_an_input_to_begin_by_that_came_garbled_refuses_the_step():
+    async def main(world: World) -> None:
+        await world.ready()
+        world.wire.to_far = lambda data: data.replace(b"XLI=0", b"XLI=1")
+        with pytest.raises(CannotDo, match="XLI reads back as 1, not 0") as refusal:
+            await armed(world)
+        assert refusal.value.refusal.code == "read-back"
+        world.wire.to_far = None
+        await world.driver.disarm()
+        assert not world.controller.motions
+
+    run(main)
+
+
 @pytest.mark.parametrize("stage", range(30))
 def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage: int):
     async def main(world: World) -> None:
