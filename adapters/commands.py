@@ -1,6 +1,7 @@
 """Commands to a controller, from the bus: each verb with its request, done once, answered with a value."""
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -191,7 +192,13 @@ class Commands:
     async def _home(self, request: HomeRequest) -> HomeReply:
         self._require_idle(request)
         self._fence.require_no_estop()
-        return await self._parts.referencing.home(request.axes)
+        try:
+            return await self._parts.referencing.home(request.axes)
+        except (LinkClosed, LinkRefused, DriverFault) as error:
+            # The controller goes on looking by itself. Where it can not be told now, the stop is owed.
+            with suppress(LinkClosed, LinkRefused, DriverFault):
+                await self._unit.stop(False, f"homing has failed: {error}")
+            raise
 
     async def _jog(self, request: JogRequest) -> Reply:
         self._condition.require_known(request.velocities)

@@ -13,6 +13,7 @@ from orchestrator.model.messages import HomeReply, HomeRequest, Refusal, StopMod
 from orchestrator.plan.step import Targets
 
 ANSWER_S = 3.0
+LOOK_S = 0.05
 
 StopMembers = Callable[[list[str], StopMode, str, str], Awaitable[None]]
 Progress = Callable[[float, str], None]
@@ -174,7 +175,23 @@ class Homing:
             self._targets.forget(f"{controller}.{name}")
         timeout_s = max(self._view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
         request = HomeRequest(**self._members.fields(run.actor), axes=names, holder=run.holder)
-        return await self._members.ask(controller, "home", request, HomeReply, timeout_s + ANSWER_S)
+        state = self._view.state(controller)
+        instance = None if state is None else state.instance
+        ask = self._members.ask(controller, "home", request, HomeReply, timeout_s + ANSWER_S)
+        asked = asyncio.get_running_loop().create_task(ask)
+        try:
+            while True:
+                await asyncio.wait([asked], timeout=LOOK_S)
+                if asked.done():
+                    return asked.result()
+                # Its answer may take as long as its axes may look: nobody waits for it who knows that it will not come.
+                gone = self._view.gone(controller, instance)
+                if gone is not None:
+                    await self._stop([controller], "decelerate", run.actor, gone)
+                    remedy = "look at its adapter host (`tutti status`), then home again"
+                    return HomeReply(refused=Refusal(code="absent", text=gone, remedy=remedy, member=controller))
+        finally:
+            asked.cancel()
 
     def _take(self, run: _Run, controller: str, reply: HomeReply) -> None:
         axes = run.busy.pop(controller)

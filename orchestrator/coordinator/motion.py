@@ -378,13 +378,10 @@ class Motion:
     ) -> tuple[str, str] | None:
         """What has not happened although it should have by now."""
         now_ns = self._throne.fleet_now_ns()
-        silent = [member for member in sorted(waiting_end) if self._view.silent(member)]
-        if silent:
-            return "failed", f"{silent[0]}: its adapter is silent"
-        # Who died and is back already was never silent for long, and knows nothing of the step.
-        anew = [member for member in sorted(waiting_end) if self._is_anew(moving, member)]
-        if anew:
-            return "failed", f"{anew[0]}: its adapter was started anew"
+        for member in sorted(waiting_end):
+            gone = self._view.gone(member, moving.instances.get(member))
+            if gone is not None:
+                return "failed", f"{member}: {gone}"
         lost = moving.lost_permit()
         if lost is not None:
             return "failed", lost
@@ -396,10 +393,6 @@ class Motion:
         if waiting_end and now_ns > ends_ns + SETTLE_NS:
             return "failed", f"{min(waiting_end)}: has not come to its end"
         return None
-
-    def _is_anew(self, moving: Moving, member: str) -> bool:
-        state = self._view.state(member)
-        return state is not None and state.instance != moving.instances.get(member, state.instance)
 
     async def _next_event(self, moving: Moving) -> Event | None:
         """The next event about this step; None after a while, or when a permit was lost."""

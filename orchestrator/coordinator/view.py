@@ -64,6 +64,15 @@ class FleetView:
         heard_ns = self._heard_ns.get(controller)
         return heard_ns is None or self._clock.now_ns() - heard_ns > self._silent_ns[controller]
 
+    def gone(self, controller: str, instance: str | None) -> str | None:
+        """Why the adapter that was there as `instance` (None: as whichever) is there no more; None while it is."""
+        if self.silent(controller):
+            return "its adapter is silent"
+        # Who died and is back already was never silent for long, and knows nothing of what it was doing.
+        state = self._states.get(controller)
+        anew = state is not None and instance is not None and state.instance != instance
+        return "its adapter was started anew" if anew else None
+
     async def fresh(self, controller: str) -> ControllerState:
         """The state as it is now, asked for. Raises `BusError`."""
         payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)

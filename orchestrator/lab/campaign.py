@@ -34,6 +34,7 @@ READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
 END_NS = 50 * NS_PER_S  # for the rest of the jobs to end
 LOOK_NS = 200 * NS_PER_MS
 RESTS = 150  # looks at who rests, 7 ms apart
+HOMES_SHARE = 0.4
 HANDS = 0.3  # chance of somebody who jogs meanwhile
 
 # When, after its first request to the member, a stage is to be broken: earliest and latest.
@@ -155,7 +156,7 @@ class _Play:
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
         keys: dict[str, str] = {}
-        for order in orders_of(fleet, member, self._where(), self._draw):
+        for order in orders_of(fleet, member, cell.stage == "home", self._where(), self._draw):
             keys[order.job.name] = key = self.virtual.new_id()
             act.jobs[await client.submit(order.job, key, order.terms)] = order
             self._tell(f"{order.job.name} of {', '.join(order.controllers)}")
@@ -199,7 +200,8 @@ class _Play:
             return
         now_ns = act.broken_ns = self._clock.now_ns()
         hit = cell._replace(stage=stage)
-        together = act.jobs[step[0]].controllers if act.fault.reach == "fleet" else [act.member]
+        all_of_step = act.fault.reach == "fleet" and stage != "home"
+        together = act.jobs[step[0]].controllers if all_of_step else [act.member]
         makes = dict.fromkeys(self._story.fleet.controllers[name].adapter for name in together)
         self._story.hit.append(hit)
         self._story.befallen += [hit._replace(make=make) for make in makes]
@@ -324,13 +326,15 @@ class _Play:
         at = self._reached.setdefault((asked.step, asked.member), {})
         now_ns = self._clock.now_ns()
         at.setdefault(asked.verb, now_ns)
+        if asked.verb == "home" and asked.answered_ns is not None:
+            at["homed"] = now_ns
         if asked.verb == "go" and asked.taken:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._host_ns(asked))
         if self._target is None:
             return
         act, cell, reached = self._target
-        if asked.said["job"] not in act.jobs or asked.member != act.member or reached.done():
+        if asked.job not in act.jobs or asked.member != act.member or reached.done():
             return
         at_ns = self._strikes_at(cell.stage, asked, now_ns)
         if at_ns is not None:
@@ -341,6 +345,8 @@ class _Play:
     def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
         """When to break it, as soon as that can be told."""
         going_out = asked.answered_ns is None
+        if stage == "home" and asked.verb == "home" and going_out:
+            return now_ns + self._draw.randrange(self._homes_in_ns(asked.member) + 1)
         if stage in _WITHIN and asked.verb == stage and going_out:
             return now_ns + self._draw.randint(*_WITHIN[stage])
         if stage == "arm" and asked.verb == "arm" and going_out:
@@ -353,6 +359,18 @@ class _Play:
         if stage == "motion":
             return t0_ns + self._draw.randint(*_MOTION_NS)
         return None
+
+    def _homes_in_ns(self, member: str) -> int:
+        """What homing takes at the least: a part of its last one, and of its way from where it stands."""
+        asked = (each for each in self.witness.of("home") if each.member == member)
+        last_ns = [each.answered_ns - each.asked_ns for each in asked if each.answered_ns is not None][-1]
+        where = self._where()
+        ways_s = (
+            abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
+            for name, axis in self._story.fleet.controllers[member].axes.items()
+            if axis.homing.method == "default"
+        )
+        return round(HOMES_SHARE * (last_ns + max(ways_s, default=0.0) * NS_PER_S))
 
     def _arms_in_ns(self, member: str) -> int:
         """What its last arming took; before that a tenth of what it says that it takes at the most."""
@@ -367,6 +385,8 @@ class _Play:
         if row is None or row.state in ENDED:
             return None
         at = self._reached[step, member]
+        if "home" in at:
+            return None if "homed" in at else "home"
         if "t0" in at and self._clock.now_ns() > at["t0"] + _FIRE_NS:
             return "motion"
         return next(stage for stage in reversed(STAGES) if stage in at)

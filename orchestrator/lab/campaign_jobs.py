@@ -1,6 +1,6 @@
 """Jobs of the fault campaign: one that takes part in what breaks, one beside it, one that has to wait for them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from random import Random
@@ -36,15 +36,19 @@ def preparation(axes: list[str], homing: list[str]) -> Job:
     return job_of("prepare", steps + ([{"do": "home", "axes": homing}] if homing else []))
 
 
-def orders_of(fleet: Fleet, member: str, where: Mapping[str, float], draw: Random) -> list[Order]:
-    """Two or three jobs; the first one moves `member`. where: each axis stands now, in its unit."""
+def orders_of(fleet: Fleet, member: str, homes: bool, where: Mapping[str, float], draw: Random) -> list[Order]:
+    """Two or three jobs; the first one moves `member`, and may home it before. where: each axis stands, in its unit."""
     together = [line for line in _inseparable(fleet) if member not in line]
     draw.shuffle(together)
     others = max(1, len(together) - draw.choice((0, 1, 2)))
     main = sorted([*_inseparable_from(fleet, member), *chain(*together[:others])])
     beside = sorted(chain(*together[others:]))
     there = dict(where)
-    orders = [Order(_moves(fleet, "main", main, there, draw), Terms(), tuple(main))]
+    first: list[dict[str, Any]] = []
+    if homes:
+        first = [{"do": "home", "axes": [member]}]
+        there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
+    orders = [Order(_moves(fleet, "main", main, there, draw, first), Terms(), tuple(main))]
     if beside:
         terms = Terms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
         orders.append(Order(_moves(fleet, "beside", beside, there, draw), terms, tuple(beside)))
@@ -73,14 +77,21 @@ def _inseparable_from(fleet: Fleet, member: str) -> list[str]:
     return next(names for names in _inseparable(fleet) if member in names)
 
 
-def _moves(fleet: Fleet, name: str, controllers: list[str], there: dict[str, float], draw: Random) -> Job:
-    """there: where each axis will stand before the job, and afterwards."""
+def _moves(
+    fleet: Fleet,
+    name: str,
+    controllers: list[str],
+    there: dict[str, float],
+    draw: Random,
+    first: Sequence[dict[str, Any]] = (),
+) -> Job:
+    """there: where each axis will stand before it moves, and afterwards. first: steps before that."""
     targets = _targets(fleet, controllers, there, draw)
     there |= targets
     steps: list[dict[str, Any]] = [{"do": "move", "to": targets, "speed": PACE, **_how(fleet, controllers, draw)}]
     if draw.random() < 0.25:
         steps.insert(0, {"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
-    return job_of(name, steps)
+    return job_of(name, [*first, *steps])
 
 
 def _targets(fleet: Fleet, controllers: list[str], there: Mapping[str, float], draw: Random) -> dict[str, float]:

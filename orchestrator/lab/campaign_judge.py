@@ -63,12 +63,15 @@ class Act:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A step that its members were told to go for, as the wire to them says."""
+    """A step that its members were told to go for, or one member to home, as the wire to them says. Instants in host
+    ns; from_ns, until_ns: what begins between them belongs to it. t0_ns: None of a homing."""
 
     job: str
     index: int
-    t0_host_ns: int
     asked_ns: int
+    from_ns: int
+    until_ns: int | None
+    t0_ns: int | None
     axes: Mapping[str, Sequence[str]]
 
 
@@ -139,24 +142,28 @@ class Judge:
         )
 
     def _steps(self, act: Act) -> list[_Step]:
-        """The steps of the act's jobs that at least one member was told to go for."""
+        """What the act's jobs have told at least one member to do, in the order in which it begins."""
         axes: dict[tuple[str, int], dict[str, Sequence[str]]] = {}
         for arm in self._witness.of("arm"):
             axes.setdefault(arm.step, {})[arm.member] = arm.said["axes"]
         gone: dict[tuple[str, int], list[Asked]] = {}
         for go in self._witness.of("go"):
-            if go.said["job"] in act.jobs:
+            if go.job in act.jobs:
                 gone.setdefault(go.step, []).append(go)
-        found: list[_Step] = []
+        homes = [each for each in self._witness.of("home") if each.job in act.jobs]
+        found = [
+            _Step(*home.step, home.asked_ns, home.asked_ns, home.answered_ns, None, {home.member: home.said["axes"]})
+            for home in homes
+        ]
         for (job, index), each in gone.items():
             # Behind a line each member has a T0 of its own.
             t0_ns = min(go.said["t0_fleet_ns"] for go in each) + self._origin_ns()
-            found.append(_Step(job, index, t0_ns, each[0].asked_ns, axes[job, index]))
-        return found
+            found.append(_Step(job, index, each[0].asked_ns, t0_ns - WINDOW_NS, None, t0_ns, axes[job, index]))
+        return sorted(found, key=lambda step: step.from_ns)
 
     def _judge_promises(self, act: Act) -> None:
         """Invariants 1, 7, 9 and 10 on the requests: nobody is told to go before all have promised the same thing."""
-        asked = [each for each in self._witness.asked if each.verb == "lease" or each.said["job"] in act.jobs]
+        asked = [each for each in self._witness.asked if each.verb == "lease" or each.job in act.jobs]
         highest: dict[str, int] = {}
         for each in asked:
             if each.taken and each.said["epoch"] < highest.get(each.member, 0):
@@ -173,8 +180,9 @@ class Judge:
         if act.fault.name == "host-other-file" and act.broken_ns is not None and act.mended_ns is not None:
             for each in asked:
                 between = act.broken_ns < each.asked_ns < act.mended_ns
-                if each.verb == "arm" and each.member == act.member and each.taken and between:
-                    self.violate("10", f"{each.member} was armed with another configuration than its host's")
+                begun = each.verb in ("home", "arm") and each.taken
+                if begun and each.member == act.member and between:
+                    self.violate("10", f"{each.member} took {each.verb} with another configuration than its host's")
 
     def _judge_promise(self, go: Asked, member: str, before: Sequence[Asked]) -> None:
         """Invariant 1: `member` was armed, and has promised, before anybody was told to go."""
@@ -234,8 +242,10 @@ class Judge:
         if motion.end_ns is None:
             self.violate("3", f"{label} never ended its motion")
             return
+        step = self._step_of(name, axis_name, motion, steps)
         limits = axis.soft_limits_counts
-        if limits is not None and motion.end_counts is not None:
+        # Who looks for its reference does not know yet where it is.
+        if limits is not None and motion.end_counts is not None and (step is None or step.t0_ns is not None):
             low, high = limits
             if not low - 1 <= motion.end_counts <= high + 1:
                 self.violate("5", f"{label} went to {motion.end_counts}; limits {low} to {high}")
@@ -244,7 +254,6 @@ class Judge:
             if motion.end_ns > jog.renewed_ns + BY_HAND_NS + ramp_ns and name not in act.deaf:
                 self.violate("3", f"{label} moved {_s(motion.end_ns - jog.renewed_ns)} after the last word of a hand")
             return
-        step = self._step_of(name, axis_name, motion, steps)
         if step is None:
             self.violate("1/2", f"{label} moved at {_s(motion.start_ns)}, and nothing was decided")
             return
@@ -254,7 +263,7 @@ class Judge:
         row, report = self._fleet.journal.row(step.job), reports[step.job]
         if row is None or row.state == "done" or name in act.deaf:
             return
-        if (step.index, step.t0_host_ns) in self._done(report):
+        if (step.index, step.t0_ns) in self._done(report):
             return
         self._judge_stop(act, label, motion, step, ramp_ns)
         ended = report.transitions[-1].fleet_ns if report is not None and row.state != "interrupted" else None
@@ -297,16 +306,20 @@ class Judge:
                 self.violate("7", f"{label} moved for {_s(late_ns)} more when {each.said['holder']} took it")
                 break
 
-    def _done(self, report: JobReport | None) -> list[tuple[int, int]]:
+    def _done(self, report: JobReport | None) -> list[tuple[int, int | None]]:
         """Index and T0 (host ns) of the steps of a job that came to their end."""
         done = [step for step in report.steps if step.state == "done"] if report is not None else []
-        return [(step.index, self._origin_ns() + step.t0_fleet_ns) for step in done if step.t0_fleet_ns is not None]
+        return [
+            (step.index, None if step.t0_fleet_ns is None else self._origin_ns() + step.t0_fleet_ns) for step in done
+        ]
 
     def _step_of(self, name: str, axis: str, motion: Motion, steps: Sequence[_Step]) -> _Step | None:
         """The last step that had begun, or was about to, when the axis began to move."""
         mine = [step for step in steps if axis in step.axes.get(name, ())]
-        begun = [step for step in mine if step.t0_host_ns - WINDOW_NS <= motion.start_ns]
-        return begun[-1] if begun else None
+        begun = [step for step in mine if step.from_ns <= motion.start_ns]
+        if not begun or (begun[-1].until_ns is not None and begun[-1].until_ns < motion.start_ns):
+            return None
+        return begun[-1]
 
     def _declared_ns(self, name: str) -> int:
         """The stop time that a member has declared in the last step that it was asked about."""

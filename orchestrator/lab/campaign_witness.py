@@ -9,16 +9,15 @@ from orchestrator.bus.base import Declared, Handler, Priority, Sample
 from orchestrator.bus.memory import MemoryBus
 from orchestrator.clock.base import Clock
 
-Stage = Literal["propose", "arm", "commit", "go", "fire", "motion"]
-STAGES: tuple[Stage, ...] = ("propose", "arm", "commit", "go", "fire", "motion")
+Stage = Literal["home", "propose", "arm", "commit", "go", "fire", "motion"]
+STAGES: tuple[Stage, ...] = ("home", "propose", "arm", "commit", "go", "fire", "motion")
 
-_STEP_VERBS = ("propose", "arm", "commit", "go")
-_SEEN = (*_STEP_VERBS, "lease")
+_SEEN = ("lease", "home", "propose", "arm", "commit", "go")
 
 
 @dataclass(slots=True)
 class Asked:
-    """One request to an adapter, about a step or a lease. Instants in host ns; answered_ns: None without an answer.
+    """One request to an adapter, about a lease or a step. Instants in host ns; answered_ns: None without an answer.
 
     said: what was asked, without profiles. taken: whether the adapter has agreed.
     """
@@ -32,8 +31,14 @@ class Asked:
     reply: dict[str, Any] = field(default_factory=dict[str, Any])
 
     @property
+    def job(self) -> str:
+        """For whom it is asked: a request for homing or a lease names its holder."""
+        return self.said["job"] if "job" in self.said else self.said["holder"]
+
+    @property
     def step(self) -> tuple[str, int]:
-        return self.said["job"], self.said["step"]
+        """Of a job that homes, that is the first."""
+        return self.job, self.said.get("step", 0)
 
     @property
     def promise(self) -> tuple[str, int, int, str, int]:

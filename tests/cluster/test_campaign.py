@@ -11,7 +11,8 @@ from orchestrator.lab.campaign_runs import CELLS, PAIRS, ROUND, cells_of, run_ca
 from orchestrator.lab.campaign_witness import STAGES
 
 ACTS = 3  # a seed, one more than usual: preparing a fleet takes most of the time
-SEEDS, CHUNK = PAIRS // ACTS, 5
+CHUNK = 5
+SEEDS = -(-PAIRS // (ACTS * CHUNK)) * CHUNK
 
 
 def cells_here(seed: int) -> list[Cell]:

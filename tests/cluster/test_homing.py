@@ -6,6 +6,8 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
 from orchestrator.client.api import Refused
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.lab.sync_fleets import smc2000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import Progress
@@ -176,6 +178,53 @@ def test_a_controller_that_loses_power_while_homing(name: str) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
 
     run_fleet(main)
+
+
+def searching() -> Fleet:
+    """The gantry's x does not find its switch for a minute."""
+    x = {"homing": {"speed": 20, "timeout_s": 60}}
+    return changed(demo_fleet(), gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": x}})
+
+
+def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, ENABLE)
+        client = fleet.client()
+        homing = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
+        await fleet.until(lambda states: states["gantry"].axes["x"].homing)
+        cut_ns = fleet.clock.now_ns()
+        host = fleet.process(f"host/{fleet.fleet.controllers['gantry'].host}")
+        fleet.net.partition({host.name}, {fleet.process("coordinator/first").name})
+        report = await client.wait(homing)
+        assert report.state == "failed" and "gantry: its adapter is silent" in report.reason
+        assert fleet.clock.now_ns() - cut_ns < 7 * NS_PER_S  # most of it for answers to stop and release
+        assert fleet.controllers["gantry"].at_rest()
+
+    run_fleet(main, searching())
+
+
+@pytest.mark.parametrize("name", ["gantry", "unit"])
+def test_a_search_whose_link_is_closed_is_stopped(name: str) -> None:
+    plain = searching().to_plain()
+    plain["controllers"]["unit"] = smc2000(1)
+    plain["controllers"]["unit"]["simulate"]["options"] = {"home_edge": NEVER}
+    fleet = Fleet.model_validate(plain)
+
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, job(f"[{{do: enable, axes: [{name}]}}]"))
+        client = virtual.client()
+        homing = await client.submit(job(f"[{{do: home, axes: [{name}.x]}}]"))
+        await virtual.until(lambda states: virtual.controllers[name].moving("X"))
+        closed_ns = virtual.clock.now_ns()
+        for link in list(virtual.wires[name].links):
+            link.hang_up()
+        report = await client.wait(homing)
+        assert report.state == "failed" and "closed" in report.reason
+        await asyncio.sleep(5.0)
+        end_ns = last_end_ns(virtual, name, "X")
+        assert end_ns - closed_ns < NS_PER_S
+
+    run_fleet(main, fleet)
 
 
 def test_an_order_that_names_what_is_not_there() -> None:
