@@ -308,8 +308,9 @@ class Driver(ABC):
     async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
         """Find the reference of all `axes` at once by their `homing`; returns when all have come to rest.
 
-        found: called with each axis as soon as it has found it. Gives those that have not, with the reason. Raises
-        `CannotDo` when none was begun, `DriverFault`. A caller whose patience ends cancels the call and stops.
+        found: called with each axis as soon as it has found it. Gives those that have not, with the reason. None begins
+        after a stop that was given since the call. Raises `CannotDo` when none was begun, `DriverFault`. A caller whose
+        patience ends cancels the call and stops.
         """
 
     @abstractmethod

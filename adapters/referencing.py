@@ -34,7 +34,7 @@ class Referencing:
         condition.require_enabled(axes)
         condition.referenced.update(dict.fromkeys(axes, False))
         condition.homing.update(axes)
-        restarts, homed = condition.restarts, list[str]()
+        restarts, stopped_ns, homed = condition.restarts, condition.stopped_ns, list[str]()
 
         def found(name: str) -> None:
             homed.append(name)
@@ -45,6 +45,8 @@ class Referencing:
             # An axis that does not know where it is must not be held by limits that mean nothing to it.
             await self.load_limits(axes)
             await self._refresh()
+            if condition.stopped_ns != stopped_ns:
+                raise CannotDo("stopped", "it was stopped before it began to look for its reference", "home again")
             failed = await self._find(axes, found)
         finally:
             condition.homing.difference_update(axes)

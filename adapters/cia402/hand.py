@@ -58,6 +58,7 @@ class Hand:
         """Find the reference; returns when the axis has come to rest. Raises `CannotDo`."""
         del axes
         node = self._node
+        stops = node.stops
         await self._power.stopped()
         node.require_well()
         if not node.enabled:
@@ -67,6 +68,8 @@ class Hand:
         self.homing = True
         try:
             await self._load_homing()
+            if node.stops != stops:
+                raise CannotDo("stopped", f"axis {self._name} was stopped before it began to look", "")
             return await self._search(found)
         except BaseException:
             try:

@@ -377,7 +377,9 @@ class JobRun:
             until_ns = works.clock.now_ns() + stop_ns + REST_NS
             while works.clock.now_ns() < until_ns:
                 state = await works.view.fresh(member)
-                if state.mode not in ("moving", "stopping") and not any(each.moving for each in state.axes.values()):
+                # Who has just begun to look for its reference has not been seen to move yet.
+                busy = any(each.moving or each.homing for each in state.axes.values())
+                if state.mode not in ("moving", "stopping") and not busy:
                     return
                 await sleep_ns(works.clock, REST_LOOK_NS)
 

@@ -144,6 +144,7 @@ class _Play:
         report = await client.wait(await client.submit(preparation(axes, homing)))
         if report.state != "done":
             self.judge.violate("3", f"the preparation of {axes} is {report.state}: {report.reason}")
+        self.judge.judge_places(await client.status(1.0))
         return report.state == "done"
 
     # An act
@@ -175,6 +176,7 @@ class _Play:
             row = self.virtual.journal.row(job_id)
             self._tell(f"{order.job.name} is {row.state}: {row.reason}" if row else f"{order.job.name} is forgotten")
         self.judge.judge(act)
+        self.judge.judge_places(await client.status(1.0))
 
     def _where(self) -> dict[str, float]:
         """Where each axis stands, in its unit."""

@@ -12,12 +12,13 @@ MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 LEAST, MOST = 4, 6  # controllers of a fleet
 TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
 PERMIT = "door"
+HERE = "37"  # of CiA 402: the reference is where the axis stands
 
 # Slower than the usual rate, as with many controllers on one computer. Where a permit is, it is looked at more often.
 _RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
 _GUARDING = {"idle_hz": 3.0, "moving_hz": 5.0}
-# Homing is not what is looked at: it has not far to go.
-_NEAR = {"axes": 2, "home_edge": {"X": -40, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
+# Homing has not far to go, and the edge of a switch lies between two index pulses.
+_NEAR = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
 _DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 
 Draft = dict[str, dict[str, Any]]
@@ -70,7 +71,7 @@ def _cia402(number: int, units: int, draw: Random) -> Draft:
             "adapter": "cia402",
             "link": link,
             "options": options,
-            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": "37"}}},
+            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": HERE}}},
             "simulate": {"options": {"event_ms": event_ms}, "decode_us": 300, "spread_us": 200},
         }
     return drafts

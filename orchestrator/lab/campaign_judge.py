@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.lab.campaign_faults import Fault
+from orchestrator.lab.campaign_fleets import HERE
 from orchestrator.lab.campaign_jobs import Order
 from orchestrator.lab.campaign_witness import Asked, Witness
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Axis
 from orchestrator.model.report import ENDED, JobReport, MemberReport, StepReport
-from orchestrator.model.state import Interval
+from orchestrator.model.state import ControllerState, Interval
 from sim.core.controller import Motion
 
 # The longest that anything goes on after a fault, before its ramp: a silent adapter is noticed after 0.7 s (a hung
@@ -21,6 +22,7 @@ WINDOW_NS = 300 * NS_PER_MS  # a motion belongs to a step when it begins so near
 LOOK_NS = (
     400 * NS_PER_MS
 )  # from the end of a job that failed, by the journal, to the rest of its axes, but for the ramp
+ORIGIN_COUNTS = 2  # by which two homings of one axis may differ
 BY_HAND_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, but for the ramp
 
 
@@ -85,6 +87,8 @@ class Judge:
         self._whole = fleet.fleet
         self._strange: set[str] = set()
         self._speeds: dict[tuple[str, str], tuple[int, float]] = {}
+        self._origins: dict[str, float] = {}
+        self._stuck: set[str] = set()
 
     def violate(self, invariant: str, text: str) -> None:
         self.violations.append(f"invariant {invariant}: {text}")
@@ -112,6 +116,20 @@ class Judge:
                     self.violate("5", f"{name}.{motor}: from {before:.0f} to {speed:.0f} counts/s too quickly")
                 self._speeds[name, motor] = (now_ns, speed)
 
+    def judge_places(self, states: Mapping[str, ControllerState]) -> None:
+        """Invariant 5 at rest: who says that it knows where it is stands there. states: as adapters tell them now."""
+        for name, state in states.items():
+            for axis_name, axis in self._whole.controllers[name].axes.items():
+                told, label = state.axes[axis_name], f"{name}.{axis_name}"
+                # Some have their reference wherever they stand when they are asked to home, and of an axis that was
+                # stuck nobody knows where it is.
+                if state.mode == "offline" or not told.referenced or axis.homing.method == HERE or name in self._stuck:
+                    continue
+                origin = self._fleet.controllers[name].place(axis.motors[0]) - told.commanded_counts
+                off = origin - self._origins.setdefault(label, origin)
+                if abs(off) > ORIGIN_COUNTS:
+                    self.violate("5", f"{label} says that it is referenced, and is off by {off:g} counts")
+
     # After an act
 
     def judge(self, act: Act) -> None:
@@ -119,6 +137,8 @@ class Judge:
         if act.broken_ns is not None and act.fault.beyond:
             # A crystal that has had a blow stays as it is.
             self._strange |= set(act.touched)
+        if act.broken_ns is not None and act.fault.name == "stall":
+            self._stuck.add(act.member)
         steps = self._steps(act)
         reports = {job_id: self._fleet.journal.report(job_id) for job_id in act.jobs}
         self._judge_promises(act)
@@ -142,7 +162,7 @@ class Judge:
         )
 
     def _steps(self, act: Act) -> list[_Step]:
-        """What the act's jobs have told at least one member to do, in the order in which it begins."""
+        """What the act's jobs have told at least one member to do, in that order."""
         axes: dict[tuple[str, int], dict[str, Sequence[str]]] = {}
         for arm in self._witness.of("arm"):
             axes.setdefault(arm.step, {})[arm.member] = arm.said["axes"]
@@ -159,7 +179,7 @@ class Judge:
             # Behind a line each member has a T0 of its own.
             t0_ns = min(go.said["t0_fleet_ns"] for go in each) + self._origin_ns()
             found.append(_Step(job, index, each[0].asked_ns, t0_ns - WINDOW_NS, None, t0_ns, axes[job, index]))
-        return sorted(found, key=lambda step: step.from_ns)
+        return sorted(found, key=lambda step: step.asked_ns)
 
     def _judge_promises(self, act: Act) -> None:
         """Invariants 1, 7, 9 and 10 on the requests: nobody is told to go before all have promised the same thing."""

@@ -70,6 +70,10 @@ class DriveUnit:
         _require(axis)
         return self.station.drive.servo.demand
 
+    def place(self, axis: str) -> float:
+        _require(axis)
+        return self.station.drive.servo.mechanical
+
     def velocity(self, axis: str) -> float:
         _require(axis)
         return self.station.drive.servo.speed * self._time.rate()

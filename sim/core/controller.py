@@ -116,6 +116,11 @@ class SimulatedController(Protocol):
         """Commanded position now, in counts of the make."""
         ...
 
+    def place(self, axis: str) -> float:
+        """Where the axis stands in the world, in counts from where it was built: the same whatever its position is
+        called, and after a power cycle."""
+        ...
+
     def velocity(self, axis: str) -> float:
         """Commanded velocity now, in counts per true second."""
         ...

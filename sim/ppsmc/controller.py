@@ -172,6 +172,11 @@ class SmcController:
         drive = self.machine.drive
         return drive.coordinate(asked, drive.exact(asked)[0])
 
+    def place(self, axis: str) -> float:
+        asked = self.axis(axis)
+        drive = self.machine.drive
+        return drive.coordinate(asked, drive.exact(asked)[0] - asked.origin)
+
     def velocity(self, axis: str) -> float:
         asked = self.axis(axis)
         drive = self.machine.drive

@@ -252,6 +252,9 @@ class Shrc203Controller:
         asked = self._axis(axis)
         return self.unit.drive.exact(asked, self._time.now_ns())[0] + asked.offset
 
+    def place(self, axis: str) -> float:
+        return self.unit.drive.exact(self._axis(axis), self._time.now_ns())[0]
+
     def velocity(self, axis: str) -> float:
         asked = self._axis(axis)
         return self.unit.drive.exact(asked, self._time.now_ns())[1] * self._time.rate()

@@ -76,6 +76,10 @@ class BusUnit:
         self._require(axis)
         return self._unit.drive.exact()[0]
 
+    def place(self, axis: str) -> float:
+        self._require(axis)
+        return self._unit.drive.place
+
     def velocity(self, axis: str) -> float:
         self._require(axis)
         return self._unit.drive.exact()[1] * self._unit.time.rate()

@@ -276,6 +276,9 @@ class Smc30Controller:
         """The position counter, with the part of a step that is under way."""
         return self._station(axis).unit.drive.exact()[0]
 
+    def place(self, axis: str) -> float:
+        return self._station(axis).unit.drive.place
+
     def velocity(self, axis: str) -> float:
         station = self._station(axis)
         return station.unit.drive.exact()[1] * station.unit.time.rate()

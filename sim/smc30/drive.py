@@ -61,7 +61,7 @@ class _Frozen:
 
 
 class Drive:
-    """One motor. `counter` is the position counter and `place` the steps from the first power-up, both at rest."""
+    """One motor. `_counter` is the position counter and `_place` the steps from the first power-up, both at rest."""
 
     def __init__(self, time: DeviceTime, axis: str, motions: list[Motion], travel: tuple[int, int] | None) -> None:
         self._time = time
@@ -100,6 +100,11 @@ class Drive:
     def counter(self) -> int:
         """The position counter: steps that have been made."""
         return self._counter + self._made()
+
+    @property
+    def place(self) -> int:
+        """Steps from the first power-up."""
+        return self._place + self._made()
 
     def set_counter(self, value: int) -> None:
         self.overflow = False
@@ -239,8 +244,7 @@ class Drive:
             return self._limits in ("both", "forward" if sign > 0 else "reverse")
         if self._travel is None:
             return False
-        place = self._place + self._made()
-        return place >= self._travel[1] if sign > 0 else place <= self._travel[0]
+        return self.place >= self._travel[1] if sign > 0 else self.place <= self._travel[0]
 
     def set_limits(self, limits: LimitSwitch) -> None:
         """Active end-of-travel inputs; from now on they do not follow the travel."""

@@ -114,6 +114,10 @@ class Chain:
         unit, letter = self._axis(axis)
         return unit.position(letter)
 
+    def place(self, axis: str) -> float:
+        unit, letter = self._axis(axis)
+        return unit.place(letter)
+
     def velocity(self, axis: str) -> float:
         unit, letter = self._axis(axis)
         return unit.velocity(letter)

@@ -103,6 +103,10 @@ class Controller:
             return float(found.reported(found.reference(machine.now())))
         return found.command(instant)
 
+    def place(self, axis: str) -> float:
+        self.machine.settle()
+        return float(self._axis(axis).physical(self.machine.now()))
+
     def velocity(self, axis: str) -> float:
         """Commanded velocity, counts per true second."""
         machine = self.machine

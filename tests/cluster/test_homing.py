@@ -5,12 +5,13 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
+from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
-from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.lab.sync_fleets import smc2000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import Progress
+from orchestrator.model.report import Lease, Progress
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
 HOME = job("[{do: home}]")
@@ -181,9 +182,12 @@ def test_a_controller_that_loses_power_while_homing(name: str) -> None:
 
 
 def searching() -> Fleet:
-    """The gantry's x does not find its switch for a minute."""
+    """Axis x of the gantry, and of a unit beside it, do not find their switches for a minute."""
     x = {"homing": {"speed": 20, "timeout_s": 60}}
-    return changed(demo_fleet(), gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": x}})
+    plain = changed(demo_fleet(), gantry={"simulate": {"home_edge": NEVER}, "axes": {"x": x}}).to_plain()
+    plain["controllers"]["unit"] = smc2000(1)
+    plain["controllers"]["unit"]["simulate"]["options"] = {"home_edge": NEVER}
+    return Fleet.model_validate(plain)
 
 
 def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> None:
@@ -203,13 +207,49 @@ def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> No
     run_fleet(main, searching())
 
 
+@pytest.mark.parametrize("after_ms", [5, 30, 90, 180])
+@pytest.mark.parametrize("name", ["gantry", "unit"])
+def test_a_search_that_is_stopped_as_it_is_prepared_does_not_begin(name: str, after_ms: int) -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, job(f"[{{do: enable, axes: [{name}.x]}}]"))
+        client = virtual.client()
+        homing = await client.submit(job(f"[{{do: home, axes: [{name}.x]}}]"))
+        await asyncio.sleep(after_ms / 1000)
+        stopped_ns = virtual.clock.now_ns()
+        await client.stop()
+        report = await client.wait(homing)
+        assert report.state == "aborted"
+        await asyncio.sleep(2.0)
+        assert all(motion.start_ns < stopped_ns + 50 * NS_PER_MS for motion in virtual.controllers[name].motions)
+        assert virtual.controllers[name].at_rest()
+
+    run_fleet(main, searching())
+
+
+@pytest.mark.parametrize("after_ms", range(4, 60, 4))
+def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))
+        client = fleet.client()
+        rested: dict[str, bool] = {}
+
+        def look(sample: Sample) -> None:
+            holder = Lease.model_validate_json(sample.payload).holder
+            rested.setdefault(holder or "", fleet.controllers["gantry"].at_rest())
+
+        await client.bus.subscribe(fleet.keys.lease("gantry"), look)
+        first = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
+        second = await client.submit(job("[{do: enable, axes: [gantry.x]}]"))
+        await asyncio.sleep(after_ms / 1000)
+        await client.cancel(first)
+        assert (await client.wait(second)).state == "done"
+        assert rested[second]
+
+    run_fleet(main, searching())
+
+
 @pytest.mark.parametrize("name", ["gantry", "unit"])
 def test_a_search_whose_link_is_closed_is_stopped(name: str) -> None:
-    plain = searching().to_plain()
-    plain["controllers"]["unit"] = smc2000(1)
-    plain["controllers"]["unit"]["simulate"]["options"] = {"home_edge": NEVER}
-    fleet = Fleet.model_validate(plain)
-
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, job(f"[{{do: enable, axes: [{name}]}}]"))
         client = virtual.client()
@@ -224,7 +264,7 @@ def test_a_search_whose_link_is_closed_is_stopped(name: str) -> None:
         end_ns = last_end_ns(virtual, name, "X")
         assert end_ns - closed_ns < NS_PER_S
 
-    run_fleet(main, fleet)
+    run_fleet(main, searching())
 
 
 def test_an_order_that_names_what_is_not_there() -> None:

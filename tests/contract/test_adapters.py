@@ -273,6 +273,32 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
     run(name, main, seed=when_ms)
 
 
+@pytest.mark.parametrize("when_ms", [0, 1, 4, 9, 16, 25, 40, 70, 130])
+def test_a_stop_at_any_moment_ends_a_search_for_references_or_keeps_it_from_beginning(name: str, when_ms: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        found: list[str] = []
+        searching = asyncio.get_running_loop().create_task(world.driver.home(world.axes, found.append))
+        await sleep_ns(world.clock, when_ms * NS_PER_MS + 1)
+        if searching.done():
+            return  # a drive whose reference is where it stands
+        stopped_ns = world.clock.now_ns()
+        await world.driver.stop(False)
+        with contextlib.suppress(CannotDo):
+            failed = await searching
+            assert sorted([*found, *failed]) == sorted(world.axes)
+        await sleep_ns(world.clock, 3 * NS_PER_S)
+        assert world.at_rest
+        # What was on the wire before the stop may still begin, and stops behind it.
+        assert not [motion for _, motion in world.motions if motion.start_ns > stopped_ns + 100 * NS_PER_MS]
+        await world.driver.clear_faults()
+        await world.driver.enable(world.axes, True)
+        await world.poll(5)
+        assert await world.driver.home(world.axes, found.append) == {}
+
+    run(name, main, seed=when_ms)
+
+
 async def follow(world: World) -> None:
     """What everybody does who has started something: wait for its start and its end, whatever they are."""
     with contextlib.suppress(DriverFault, CannotDo):
