@@ -57,6 +57,7 @@ class PpSmcDriver(Driver):
         self._enabled: set[str] = set(setup.config.axes)
         # Known beyond a connection: the token that the unit held last.
         self._token = 0
+        self._restarted = False
         # So is the crystal.
         self._crystal = options.unread_clock()
 
@@ -66,7 +67,12 @@ class PpSmcDriver(Driver):
         options, slow_ns = self._options, self._options.decode_ns[1]
         await self.close()
         session = Session(
-            await self._setup.open_link(), self._clock, options.answer_ms * NS_PER_MS, slow_ns, self._token
+            await self._setup.open_link(),
+            self._clock,
+            options.answer_ms * NS_PER_MS,
+            slow_ns,
+            self._token,
+            self._restarted,
         )
         stopper = Stopper(self._setup.open_link, self._config.link.kind == "tcp")
         unit = self._unit = UnitState(session, stopper, self._config, slow_ns, enabled=self._enabled)
@@ -225,7 +231,7 @@ class PpSmcDriver(Driver):
     async def close(self) -> None:
         unit, self._unit = self._unit, None
         if unit is not None:
-            self._token = unit.session.token
+            self._token, self._restarted = unit.session.token, unit.session.restarted
             if self._mover is not None:
                 self._mover.forget()
             await unit.stopper.close()

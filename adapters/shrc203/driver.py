@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from adapters.contract import (
     CannotDo,
@@ -62,6 +63,7 @@ class ShrcDriver(Driver):
         # Known beyond a connection: of the unit that still holds the sentinel.
         self._crystal = options.unread_clock()
         self._sentinel: tuple[str, str] | None = None
+        self._restarted = False  # since the last poll
 
     # Meeting the unit
 
@@ -87,6 +89,7 @@ class ShrcDriver(Driver):
         unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
         if self._sentinel is not None and await unit.session.ask(self._sentinel[0], triples(1)) != self._sentinel[1]:
             self._crystal.forget()
+            self._restarted = True
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
         self._sentinel = unit.sentinel
         if self._config.inputs:
@@ -114,7 +117,9 @@ class ShrcDriver(Driver):
             await self._recover(self._connected())
         elif self._connected().untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
             await self._moving().tidy()
-        return reading
+        # It may also have been met again with its sentinel gone.
+        restarted, self._restarted = reading.restarted or self._restarted, False
+        return replace(reading, restarted=restarted)
 
     # A step
 

@@ -88,7 +88,7 @@ class Judge:
         self._strange: set[str] = set()
         self._speeds: dict[tuple[str, str], tuple[int, float]] = {}
         self._origins: dict[str, float] = {}
-        self._stuck: set[str] = set()
+        self._placeless: set[str] = set()
 
     def violate(self, invariant: str, text: str) -> None:
         self.violations.append(f"invariant {invariant}: {text}")
@@ -121,14 +121,20 @@ class Judge:
         for name, state in states.items():
             for axis_name, axis in self._whole.controllers[name].axes.items():
                 told, label = state.axes[axis_name], f"{name}.{axis_name}"
-                # Some have their reference wherever they stand when they are asked to home, and of an axis that was
-                # stuck nobody knows where it is.
-                if state.mode == "offline" or not told.referenced or axis.homing.method == HERE or name in self._stuck:
+                # Some have their reference wherever they stand when they are asked to home.
+                anywhere = axis.homing.method == HERE or name in self._placeless
+                if state.mode == "offline" or not told.referenced or anywhere:
                     continue
                 origin = self._fleet.controllers[name].place(axis.motors[0]) - told.commanded_counts
                 off = origin - self._origins.setdefault(label, origin)
                 if abs(off) > ORIGIN_COUNTS:
                     self.violate("5", f"{label} says that it is referenced, and is off by {off:g} counts")
+
+    def _loses_place(self, act: Act) -> bool:
+        """Whether nobody can know any more where the member stands: it was stuck, or the limit switch that was pressed is
+        its reference."""
+        make = self._whole.controllers[act.member].adapter
+        return act.fault.name == "stall" or (act.fault.name == "limit" and make == "smc30")
 
     # After an act
 
@@ -137,8 +143,8 @@ class Judge:
         if act.broken_ns is not None and act.fault.beyond:
             # A crystal that has had a blow stays as it is.
             self._strange |= set(act.touched)
-        if act.broken_ns is not None and act.fault.name == "stall":
-            self._stuck.add(act.member)
+        if act.broken_ns is not None and self._loses_place(act):
+            self._placeless.add(act.member)
         steps = self._steps(act)
         reports = {job_id: self._fleet.journal.report(job_id) for job_id in act.jobs}
         self._judge_promises(act)
@@ -171,10 +177,12 @@ class Judge:
             if go.job in act.jobs:
                 gone.setdefault(go.step, []).append(go)
         homes = [each for each in self._witness.of("home") if each.job in act.jobs]
-        found = [
-            _Step(*home.step, home.asked_ns, home.asked_ns, home.answered_ns, None, {home.member: home.said["axes"]})
-            for home in homes
-        ]
+        found: list[_Step] = []
+        for home in homes:
+            # What a unit that hung was told before it carries out whenever it wakes.
+            until_ns = None if home.member in act.deaf else home.answered_ns
+            axes_of = {home.member: home.said["axes"]}
+            found.append(_Step(*home.step, home.asked_ns, home.asked_ns, until_ns, None, axes_of))
         for (job, index), each in gone.items():
             # Behind a line each member has a T0 of its own.
             t0_ns = min(go.said["t0_fleet_ns"] for go in each) + self._origin_ns()

@@ -464,6 +464,30 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
     run(name, main)
 
 
+def test_a_power_cycle_while_nobody_was_connected_is_noticed_once(name: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        assert await world.driver.home(world.axes, lambda _: None) == {}
+        await world.poll(3)
+        await world.leave()
+        world.hit.controller.set_power(False)
+        await sleep_ns(world.clock, NS_PER_S)
+        world.hit.controller.set_power(True)
+        await sleep_ns(world.clock, 5 * NS_PER_S)
+        for noticed in (True, False):
+            # What was noticed is told although the link breaks before the next poll.
+            for _ in range(2 if noticed else 1):
+                await world.driver.connect()
+                await world.driver.configure()
+                await world.leave()
+            await world.driver.connect()
+            await world.driver.configure()
+            assert [(await world.driver.poll()).restarted for _ in range(3)] == [noticed, False, False]
+            await world.leave()
+
+    run(name, main)
+
+
 def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
