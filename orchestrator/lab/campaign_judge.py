@@ -131,8 +131,8 @@ class Judge:
                     self.violate("5", f"{label} says that it is referenced, and is off by {off:g} counts")
 
     def _loses_place(self, act: Act) -> bool:
-        """Whether nobody can know any more where the member stands: it was stuck, or the limit switch that was pressed is
-        its reference."""
+        """Whether nobody can know any more where the member stands: it was stuck, or the limit switch that was pressed
+        is its reference."""
         make = self._whole.controllers[act.member].adapter
         return act.fault.name == "stall" or (act.fault.name == "limit" and make == "smc30")
 
@@ -293,19 +293,22 @@ class Judge:
             return
         if (step.index, step.t0_ns) in self._done(report):
             return
-        self._judge_stop(act, label, motion, step, ramp_ns)
+        self._judge_stop(act, label, motion, step, ramp_ns, motion.axis == self._fleet.controllers[name].axes[0])
         ended = report.transitions[-1].fleet_ns if report is not None and row.state != "interrupted" else None
         if ended is not None and motion.end_ns > ended + self._origin_ns() + LOOK_NS + ramp_ns:
             late_ns = motion.end_ns - ended - self._origin_ns()
             self.violate("3", f"{label} moved {_s(late_ns)} after its job was {row.state}")
 
-    def _judge_stop(self, act: Act, label: str, motion: Motion, step: _Step, ramp_ns: int) -> None:
-        """Invariant 3: what a fault touches stops in time, all members of the step with it."""
+    def _judge_stop(self, act: Act, label: str, motion: Motion, step: _Step, ramp_ns: int, first: bool) -> None:
+        """Invariant 3: what a fault touches stops in time, all members of the step with it. first: it is the motor of
+        the unit that a fault of one motor befalls."""
         broken_ns, end_ns = act.broken_ns, motion.end_ns
         if broken_ns is None or end_ns is None or not act.fault.must_stop or step.asked_ns > broken_ns:
             return
         if not set(step.axes) & set(act.touched):
             return
+        if step.t0_ns is None and act.fault.name == "limit" and not first:
+            return  # others of the unit go on looking for theirs
         since_ns = max(broken_ns, motion.start_ns) if act.fault.latent else broken_ns
         allowed_ns = ASKED_NS if act.fault.name in ("stop", "estop") else DETECTION_NS
         # Slowing is what has to begin in time; how long it may take each member has declared.
@@ -322,16 +325,16 @@ class Judge:
             if each.member == name and axis in each.said["axes"] and each.said["ttl_ms"] and each.taken
         ]
         before = [each for each in given if each.asked_ns <= motion.start_ns]
-        if not before or before[-1].said["holder"] != step.job:
-            holder = before[-1].said["holder"] if before else "nobody"
+        # A new reign knows nothing of who was there before; its jobs wait for what still begins or brakes.
+        epoch = next((each.said["epoch"] for each in reversed(before) if each.job == step.job), None)
+        if epoch is None or (before[-1].job != step.job and before[-1].said["epoch"] == epoch):
+            holder = before[-1].job if before else "nobody"
             self.violate("7", f"{label} moved for job {step.job} while {holder} held it")
-        epoch = before[-1].said["epoch"] if before else 0
         for each in given[len(before) :]:
-            # A new reign knows nothing of who was there before; its jobs wait for what still brakes.
-            other = each.said["holder"] != step.job and each.said["epoch"] == epoch
+            other = each.job != step.job and each.said["epoch"] == epoch
             if motion.end_ns is not None and each.asked_ns < motion.end_ns and other:
                 late_ns = motion.end_ns - each.asked_ns
-                self.violate("7", f"{label} moved for {_s(late_ns)} more when {each.said['holder']} took it")
+                self.violate("7", f"{label} moved for {_s(late_ns)} more when {each.job} took it")
                 break
 
     def _done(self, report: JobReport | None) -> list[tuple[int, int | None]]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from adapters.member import Member
+from adapters.referencing import Referencing
 from adapters.shrc203.driver import ShrcDriver
 from adapters.unit import Unit
 from orchestrator.coordinator.journal import Journal
@@ -65,6 +66,22 @@ def plans_beyond_the_limits(patch: Patch) -> None:
 
     patch.setattr("orchestrator.coordinator.motion.plan_step", fast)
     patch.setattr("adapters.unit.check_profiles", nothing)
+
+
+def believes_in_old_references(patch: Patch) -> None:
+    """Also of a unit that was switched off and on."""
+    patch.setattr(Referencing, "look", lambda *_: [])  # pyright: ignore[reportUnknownLambdaType]
+
+
+def searches_on(patch: Patch) -> None:
+    """Whoever looks for its reference hears no stop."""
+    honest = Unit.stop
+
+    async def deaf(self: Unit, abort: bool, reason: str, follow: bool = False) -> None:
+        if not self._condition.homing:
+            await honest(self, abort, reason, follow)
+
+    patch.setattr(Unit, "stop", deaf)
 
 
 def lets_anybody_end_a_job(patch: Patch) -> None:
@@ -127,6 +144,8 @@ MUTATIONS = (
     Mutation("3", stops_nobody, Cell("motion", "limit", "smc4000")),
     Mutation("4", hears_no_estop, Cell("motion", "estop", "ppsmc")),
     Mutation("5", plans_beyond_the_limits, Cell("motion", "none", "smc4000")),
+    Mutation("3", searches_on, Cell("home", "stop", "smc2000")),
+    Mutation("5", believes_in_old_references, Cell("motion", "power-cycle", "smc30")),
     Mutation("6", lets_anybody_end_a_job, Cell("arm", "coordinator-overtaken", "shrc203")),
     Mutation("7", stops_everybody, Cell("motion", "limit", "cia402")),
     Mutation("8", claims_too_much, Cell("motion", "none", "shrc203")),
