@@ -1,7 +1,7 @@
 """A simulated controller's serial port as a raw pseudo-terminal with a stable name.
 
 Pseudo-terminals neither pace nor carry parity, so both directions are paced here. This process keeps the client's
-side open too: so clients may come and go, and what nobody reads can be dropped, oldest first.
+side open too, so that clients may come and go; who comes flushes what he finds, as on any port.
 """
 
 import asyncio
@@ -15,9 +15,6 @@ from sim.core.controller import Connection, Port, PortRefused
 from sim.link.pacing import PacedLine
 
 PORT = "serial"
-
-# As many bytes as the operating system keeps of a real port that nobody reads.
-UNREAD_BYTES = 4095
 
 # As many unsent bytes as the operating system takes for a real port.
 UNSENT_BYTES = 4096
@@ -38,7 +35,6 @@ class PtyServer:
         self._far: Connection | None = controller.connect(PORT, self._out.put, self._hung_up)
         self._loop = asyncio.get_running_loop()
         self._reading = False
-        self._unread_most = 0
         self._master, self._slave = os.openpty()
         try:
             tty.setraw(self._slave)
@@ -49,7 +45,6 @@ class PtyServer:
             os.close(self._slave)
             raise
         os.set_blocking(self._master, False)
-        os.set_blocking(self._slave, False)
         self._read_on()
 
     @property
@@ -106,21 +101,9 @@ class PtyServer:
     # Out
 
     def _leave(self, data: bytes) -> None:
-        self._unread_most += len(data)
-        if self._unread_most > UNREAD_BYTES:
-            data = (self._take_back() + data)[-UNREAD_BYTES:]
-            self._unread_most = len(data)
+        # What nobody reads the operating system keeps, as it does of a real port; what it has no room for is lost.
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
-
-    def _take_back(self) -> bytes:
-        """What the client has not read. To ask how much it is would not do: a busy operating system moves what it was
-        given later to where it counts it. Only to read until nothing is left finds everything."""
-        taken = b""
-        with contextlib.suppress(BlockingIOError):  # or nothing: as the client has set its port
-            while found := os.read(self._slave, UNREAD_BYTES):
-                taken += found
-        return taken
 
     def _hung_up(self) -> None:
         self._far = None
