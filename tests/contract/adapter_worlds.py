@@ -237,6 +237,9 @@ class World:
     def positions(self) -> dict[str, float]:
         return {axis: self.position(axis) for axis in self.axes}
 
+    def places(self) -> dict[str, float]:
+        return {axis: controller.place(motor) for axis in self.axes for controller, motor in [self._its(axis)]}
+
     @property
     def at_rest(self) -> bool:
         return not any(self.moving(axis) for axis in self.axes)
