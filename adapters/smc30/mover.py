@@ -231,9 +231,13 @@ class Mover:
         return Span(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns)
 
     async def _see_it_gone(self, move: Move) -> None:
-        """A unit whose end-of-travel input is active takes the order, and stays where it is."""
+        """A unit whose end-of-travel input is active takes the order, and stays where it is; so does one that has just
+        been switched on again, and calls that place another."""
         if (await self._unit.status()).busy or move.stopped_ns is not None:
             return
+        if not await self._unit.holds_sentinel():
+            move.running = False
+            raise DriverFault("not-started", f"{self._unit.session.name} was restarted before its start", "try again")
         if await self._unit.position() == move.lowered.start_counts:
             move.running = False
             raise DriverFault(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @processes_option
 @json_option
 def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: int, as_json: bool) -> None:
-    """Let simulated fleets of random makes work, break something at two stages of their steps, mend it, and hold what
+    """Let simulated fleets of random makes work, break something at three stages of their steps, mend it, and hold what
     really moved to the invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an
     invariant.
     """

@@ -18,7 +18,7 @@ from orchestrator.client.api import Refused, Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.campaign_faults import FAULTS, Breaker
-from orchestrator.lab.campaign_fleets import fleet_of
+from orchestrator.lab.campaign_fleets import WITH_PERMIT, fleet_of
 from orchestrator.lab.campaign_jobs import PACE, orders_of, preparation, trial
 from orchestrator.lab.campaign_judge import Act, Jog, Judge
 from orchestrator.lab.campaign_witness import STAGES, Asked, Stage, Witness
@@ -82,7 +82,10 @@ class Story:
 
 def play(seed: int, cells: Sequence[Cell]) -> Story:
     """Play one seed: an act for each of `cells`. It plays the same every time."""
-    story = Story(seed, tuple(cells), fleet_of(seed, [cell.make for cell in cells]))
+    makes = [cell.make for cell in cells]
+    if any(cell.fault == "permit-lost" for cell in cells):
+        makes.append(WITH_PERMIT)
+    story = Story(seed, tuple(cells), fleet_of(seed, makes))
 
     async def main(clock: VirtualClock) -> None:
         play = _Play(story, clock)

@@ -12,6 +12,8 @@ MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 LEAST, MOST = 4, 6  # controllers of a fleet
 TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
 PERMIT = "door"
+WITH_PERMIT = "smc4000"
+"""The make that has its input. The first one of a fleet has it."""
 HERE = "37"  # of CiA 402: the reference is where the axis stands
 
 # Slower than the usual rate, as with many controllers on one computer. Where a permit is, it is looked at more often.

@@ -11,7 +11,7 @@ from orchestrator.model.job import Job
 from orchestrator.model.queue import Terms
 
 PACE = 0.17  # of the speed limits: nobody is there by chance before a fault comes
-MOST_S = 9.4  # of a move
+MOST_S = 5.5  # of a move: some seconds more than it takes to break it and to notice
 
 
 @dataclass(frozen=True, slots=True)

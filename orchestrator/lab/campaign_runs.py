@@ -16,7 +16,7 @@ CELLS = [Cell(stage, fault, make) for fault in FAULTS for make in MAKES for stag
 
 def _round() -> list[Cell]:
     """Every cell three times; those of a fault that befalls the whole fleet twice, because it counts for all makes that
-    take part in its step.
+    take part in its step. (One looks for its reference alone.)
 
     The first len(STAGES) * len(FAULTS) are all pairs of stage and fault.
     """
@@ -25,20 +25,22 @@ def _round() -> list[Cell]:
         for number, (name, fault) in enumerate(FAULTS.items()):
             for place, stage in enumerate(STAGES):
                 make = MAKES[(turn + number + place) % len(MAKES)]
-                if fault.reach != "fleet" or (lap + turn) % 3:
-                    # Only a fleet that has one can lose a permit.
-                    cells.append(Cell(stage, name, "smc4000" if name == "permit-lost" else make))
+                if fault.reach != "fleet" or stage == "home" or (lap + turn) % 3:
+                    cells.append(Cell(stage, name, make))
     return cells
 
 
 ROUND = _round()
 PAIRS = len(STAGES) * len(FAULTS)
 
+# To prepare a fleet takes as long as an act. With three, ten thousand seeds hit every cell twenty times.
+ACTS = 3
 
-def cells_of(seed: int) -> tuple[Cell, Cell]:
+
+def cells_of(seed: int) -> list[Cell]:
     """What breaks in a seed. Seeds walk through all cells, and by and by through all pairs of them."""
     again = seed // len(ROUND)
-    return ROUND[seed % len(ROUND)], ROUND[(seed + PAIRS // 2 + 157 * again) % len(ROUND)]
+    return [ROUND[(seed + act * (PAIRS // ACTS + 157 * again)) % len(ROUND)] for act in range(ACTS)]
 
 
 @dataclass(slots=True)

@@ -384,6 +384,29 @@ def test_power_lost_and_back_in_a_move() -> None:
     run(main)
 
 
+def test_power_lost_and_back_just_before_the_start_is_no_start() -> None:
+    """The unit takes the order to start, has no program any more, and calls the place where it stands another."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.move(driver, 500)
+        _, t0_ns = await world.arm(driver, 10_000)
+        await driver.verify()
+        await driver.go()
+        await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
+        unit.set_power(False)
+        await world.sleep(40)
+        unit.set_power(True)
+        with pytest.raises(DriverFault, match="restarted before its start") as caught:
+            await driver.started()
+        assert caught.value.fault.code == "not-started"
+        assert (await driver.poll()).restarted
+        assert len(unit.motions) == 1
+
+    run(main)
+
+
 def test_an_end_of_travel_is_a_fault_that_names_the_side() -> None:
     async def main(world: World) -> None:
         await world.ready()
