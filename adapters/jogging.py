@@ -2,13 +2,15 @@
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from adapters.condition import Condition
-from adapters.contract import CannotDo, Driver, JogMove, Reading
+from adapters.contract import CannotDo, Driver, DriverFault, JogMove, Reading
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Axis
 from orchestrator.model.messages import JogRequest
 
@@ -88,9 +90,17 @@ class Jogging:
                 if self._jogs.get(axis) is jog:
                     await self._driver.jog(axis, self._move(axis, velocity))
                     jog.velocity, jog.ordered_ns = velocity, self._clock.now_ns()
-            except BaseException:
+            except CannotDo:
                 if jog.velocity == 0:
                     self._forget(axis, jog, "it could not begin")
+                raise
+            except BaseException:
+                if jog.velocity == 0:
+                    # The order may have been taken all the same. On a link that is closed its stop is owed.
+                    self._forget(axis, jog, "it could not begin")
+                    self._is_to_rest([axis])
+                    with suppress(DriverFault, LinkClosed):
+                        await self._driver.stop_axes([axis])
                 raise
             if self._jogs.get(axis) is not jog:
                 # It was stopped while the order was on its way: the stop may have come first.
@@ -147,11 +157,7 @@ class Jogging:
             return
         for axis in jogging:
             self._forget(axis, self._jogs[axis], reason)
-        slowest_ns = math.ceil(max(self._slow_down_s(axis) for axis in jogging) * 1e9)
-        takes_ns = max(slowest_ns, self._driver.capabilities.costs.stop_ns)
-        # An order may have been on its way: it is not at rest before somebody has seen it.
-        self._condition.stopped_ns = self._clock.now_ns()
-        self._condition.stopping_until_ns = self._condition.stopped_ns + takes_ns
+        self._is_to_rest(jogging)
         await self._driver.stop_axes(jogging)
         self._changed()
 
@@ -173,6 +179,14 @@ class Jogging:
             elif jog.ordered_ns is not None and not now.moving and reading.at_ns > jog.ordered_ns + SEEN_MOVING_NS:
                 on_switch = now.limit != "none"
                 self._forget(axis, jog, "it is on its limit switch" if on_switch else "it is at its soft limit")
+
+    def _is_to_rest(self, axes: Sequence[str]) -> None:
+        """An order may have been on its way, and the stop may get lost: they rest only when somebody has seen it."""
+        slowest_ns = math.ceil(max(self._slow_down_s(axis) for axis in axes) * 1e9)
+        condition = self._condition
+        condition.stopped_ns = self._clock.now_ns()
+        condition.stopping_until_ns = condition.stopped_ns + max(slowest_ns, self._driver.capabilities.costs.stop_ns)
+        condition.stop_unseen = True
 
     def _slow_down_s(self, axis: str) -> float:
         config = self._condition.config.axes[axis]

@@ -1,0 +1,63 @@
+"""A jog whose order is disturbed on its way to the controller, which may have taken it all the same, is stopped."""
+
+import asyncio
+from contextlib import suppress
+
+import pytest
+from cluster.worlds import outcome, run_fleet
+
+from orchestrator.client.api import Refused, Tutti
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.lab.campaign_fleets import MAKES, fleet_of
+from orchestrator.lab.campaign_jobs import preparation
+from orchestrator.lab.virtual import VirtualFleet
+
+AFTER_MS = (1, 3, 8, 25, 70, 120)  # the request
+DEAF_NS = 400 * NS_PER_MS
+
+# By what happens to the line, until which the axis rests again: a closed one is opened and used for the stop first.
+RESTS_NS = {"closed": 1500 * NS_PER_MS, "deaf": DEAF_NS + 2500 * NS_PER_MS}
+
+
+@pytest.mark.parametrize("how", RESTS_NS)
+@pytest.mark.parametrize("make", MAKES)
+def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str, how: str) -> None:
+    fleet = fleet_of(3, [make])
+    name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
+    axis = f"{name}.{next(iter(config.axes))}"
+    speed = fleet.axis(axis).limits.velocity * 0.05
+
+    async def press(client: Tutti) -> None:
+        with suppress(Refused):
+            async with client.by_hand([axis]) as hand:
+                await hand.jog({axis: speed})
+                await asyncio.sleep(1.0)
+
+    async def disturb(virtual: VirtualFleet) -> None:
+        wire = virtual.wires[name]
+        if how == "closed":
+            for link in list(wire.links):
+                link.hang_up()
+        else:
+            wire.to_far = lambda _: b""
+            virtual.clock.call_at_ns(virtual.clock.now_ns() + DEAF_NS, lambda: setattr(wire, "to_far", None))
+
+    async def main(virtual: VirtualFleet) -> None:
+        every = list(fleet.controllers)
+        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        client, motions = virtual.client(), virtual.controllers[name].motions
+        for after_ms in AFTER_MS:
+            before = len(motions)
+            pressing = asyncio.get_running_loop().create_task(press(client))
+            await asyncio.sleep(after_ms / 1000)
+            at_ns = virtual.clock.now_ns()
+            await disturb(virtual)
+            await asyncio.sleep(RESTS_NS[how] / NS_PER_S)
+            ends = [motion.end_ns for motion in motions[before:]]
+            assert all(end_ns is not None and end_ns < at_ns + RESTS_NS[how] for end_ns in ends), (after_ms, ends)
+            await pressing
+            await client.reset()
+            await virtual.until(lambda states: name in states and states[name].mode == "idle")
+            assert (await outcome(virtual, preparation([name], [name]))).state == "done"
+
+    run_fleet(main, fleet)
