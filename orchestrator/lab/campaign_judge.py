@@ -23,6 +23,7 @@ LOOK_NS = (
     400 * NS_PER_MS
 )  # from the end of a job that failed, by the journal, to the rest of its axes, but for the ramp
 ORIGIN_COUNTS = 2  # by which two homings of one axis may differ
+ON_WIRE_NS = 100 * NS_PER_MS
 BY_HAND_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, but for the ramp
 
 
@@ -89,6 +90,7 @@ class Judge:
         self._speeds: dict[tuple[str, str], tuple[int, float]] = {}
         self._origins: dict[str, float] = {}
         self._placeless: set[str] = set()
+        self._off_beat: set[str] = set()
 
     def violate(self, invariant: str, text: str) -> None:
         self.violations.append(f"invariant {invariant}: {text}")
@@ -141,8 +143,9 @@ class Judge:
     def judge(self, act: Act) -> None:
         """Hold all that moved in an act against what was decided, and what became of its jobs."""
         if act.broken_ns is not None and act.fault.beyond:
-            # A crystal that has had a blow stays as it is.
             self._strange |= set(act.touched)
+        if act.broken_ns is not None and act.fault.name == "crystal":
+            self._off_beat.add(act.member)
         if act.broken_ns is not None and self._loses_place(act):
             self._placeless.add(act.member)
         steps = self._steps(act)
@@ -158,8 +161,8 @@ class Judge:
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:
                 self._judge_evidence(act, job_id, step)
-        if act.fault.name != "crystal":
-            self._strange -= set(act.touched)
+        # A crystal that has had a blow stays as it is.
+        self._strange = {name for name in self._strange if name in self._off_beat}
 
     def _origin_ns(self) -> int:
         """Of fleet time, in host ns; the same for all reigns on one kernel."""
@@ -179,8 +182,11 @@ class Judge:
         homes = [each for each in self._witness.of("home") if each.job in act.jobs]
         found: list[_Step] = []
         for home in homes:
-            # What a unit that hung was told before it carries out whenever it wakes.
-            until_ns = None if home.member in act.deaf else home.answered_ns
+            # What a unit that hung was told before it carries out whenever it wakes, and what was on the wire when it
+            # was stopped until the stop has come.
+            until_ns = home.answered_ns
+            if until_ns is not None:
+                until_ns = None if home.member in act.deaf else until_ns + ON_WIRE_NS
             axes_of = {home.member: home.said["axes"]}
             found.append(_Step(*home.step, home.asked_ns, home.asked_ns, until_ns, None, axes_of))
         for (job, index), each in gone.items():

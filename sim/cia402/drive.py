@@ -260,7 +260,7 @@ class Drive:
 
     def set_limit(self, which: LimitSwitch) -> None:
         servo = self.servo
-        servo.terminals.forced = which
+        servo.terminals.forced = None if which == "none" else which
         servo.mover.look_again()
         self._homing.released()
         speed = servo.speed

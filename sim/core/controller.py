@@ -89,7 +89,8 @@ class SimulatedController(Protocol):
     def set_input(self, number: int, level: bool) -> None: ...
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
-        """Which limit switches of the axis are pressed; overrides the ones given by travel, if any."""
+        """Which limit switches of the axis are pressed from outside, whatever its travel says; with `none` that holds
+        again."""
         ...
 
     def set_stalled(self, axis: str, stalled: bool) -> None:

@@ -151,9 +151,12 @@ class Machine:
     # The world
 
     def set_limit(self, axis: Axis, which: LimitSwitch) -> None:
-        """Hold both limit switches of an axis."""
-        axis.switches.held[Switch.EL_PLUS] = which in ("forward", "both")
-        axis.switches.held[Switch.EL_MINUS] = which in ("reverse", "both")
+        """Hold both limit switches of an axis, or let go of them."""
+        for switch, pressing in ((Switch.EL_PLUS, ("forward", "both")), (Switch.EL_MINUS, ("reverse", "both"))):
+            if which == "none":
+                axis.switches.held.pop(switch, None)
+            else:
+                axis.switches.held[switch] = which in pressing
         self.rearm(axis)
 
     def rearm(self, axis: Axis) -> None:

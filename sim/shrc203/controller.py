@@ -209,7 +209,7 @@ class Shrc203Controller:
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         pressed = self._axis(axis)
-        pressed.limits = which
+        pressed.limits = None if which == "none" else which
         pressed.check_limits()
         self._rearm(pressed)
 

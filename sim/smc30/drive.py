@@ -247,8 +247,8 @@ class Drive:
         return self.place >= self._travel[1] if sign > 0 else self.place <= self._travel[0]
 
     def set_limits(self, limits: LimitSwitch) -> None:
-        """Active end-of-travel inputs; from now on they do not follow the travel."""
-        self._limits = limits
+        """Active end-of-travel inputs, which do not follow the travel meanwhile."""
+        self._limits = None if limits == "none" else limits
         if (run := self._run) is None:
             return
         if self.switch(run.sign):

@@ -49,7 +49,11 @@ class Controller:
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         machine = self.machine
         machine.settle()
-        machine.world.limits[self._axis(axis).name] = which
+        limits, name = machine.world.limits, self._axis(axis).name
+        if which == "none":
+            limits.pop(name, None)
+        else:
+            limits[name] = which
         machine.limits_changed()
         machine.go_on()
 
