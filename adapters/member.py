@@ -192,7 +192,7 @@ class Member:
         async with self._turn:
             ticket = self.ticket
             if ticket is None:
-                await self._driver.disarm()
+                await self._unload()
                 return Reply()
             if ticket.phase is Phase.MOVING:
                 raise CannotDo("moving", "the step moves already", "stop it")
@@ -201,7 +201,7 @@ class Member:
             if ticket.phase is Phase.RELEASED:
                 # T0 may be this very moment: what can not be unloaded any more must not run either.
                 await self._driver.stop(False)
-            await self._driver.disarm()
+            await self._unload()
             self._emit("disarmed", "disarmed on request", ticket)
             return Reply()
 
@@ -229,8 +229,14 @@ class Member:
             return
         self._interruptions += 1
         self.ticket = None
-        await self._driver.disarm()
+        await self._unload()
         self._emit("disarmed", reason, ticket)
+
+    async def _unload(self) -> None:
+        """Unload whatever is loaded. If the link is given up meanwhile, nobody knows whether it was: a stop is owed."""
+        self.stop_owed = True
+        await self._driver.disarm()
+        self.stop_owed = False
 
     async def fail(self, reason: str) -> None:
         """Something of the controller failed in motion: what still moves of it stops, and the coordinator hears why."""

@@ -133,9 +133,7 @@ class Unit:
         pause_ns = BACKOFF_FIRST_NS
         while True:
             try:
-                if self._stop_owed:
-                    await self._pay_owed_stop()
-                self._condition.identity = await self._driver.connect()
+                await self._reach()
                 await self._driver.configure()
                 await self._referencing.load_limits(list(self._config.axes))
                 pause_ns = 0
@@ -154,6 +152,19 @@ class Unit:
                 await sleep_ns(self._clock, max(pause_ns, BACKOFF_FIRST_NS))
             pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
+    async def _reach(self) -> None:
+        """Meet the controller. An owed stop is paid before, and owed again where nobody answers behind it."""
+        owed, self._stop_owed = self._stop_owed, False
+        try:
+            if owed:
+                await self._pay_owed_stop()
+            self._condition.identity = await self._driver.connect()
+        except BaseException:
+            self._stop_owed = self._stop_owed or owed
+            raise
+        if owed:
+            self._presenter.emit("stopped", "stopped as soon as the link was back")
+
     async def _pay_owed_stop(self) -> None:
         """The link broke while a step was loaded, or before a stop could be sent: the controller may be moving.
 
@@ -167,8 +178,6 @@ class Unit:
                 await sleep_ns(self._clock, STOP_LEAVES_NS)
             finally:
                 await link.close()
-        self._stop_owed = False
-        self._presenter.emit("stopped", "stopped as soon as the link was back")
 
     async def _serve(self) -> None:
         """Poll and publish until the link breaks or the controller stops making sense."""
