@@ -90,17 +90,14 @@ class Jogging:
                 if self._jogs.get(axis) is jog:
                     await self._driver.jog(axis, self._move(axis, velocity))
                     jog.velocity, jog.ordered_ns = velocity, self._clock.now_ns()
-            except CannotDo:
+            except BaseException as error:
                 if jog.velocity == 0:
                     self._forget(axis, jog, "it could not begin")
-                raise
-            except BaseException:
-                if jog.velocity == 0:
-                    # The order may have been taken all the same. On a link that is closed its stop is owed.
-                    self._forget(axis, jog, "it could not begin")
-                    self._is_to_rest([axis])
-                    with suppress(DriverFault, LinkClosed):
-                        await self._driver.stop_axes([axis])
+                    if not isinstance(error, CannotDo):
+                        # The order may have been taken all the same. On a link that is closed its stop is owed.
+                        self._is_to_rest([axis])
+                        with suppress(DriverFault, LinkClosed):
+                            await self._driver.stop_axes([axis])
                 raise
             if self._jogs.get(axis) is not jog:
                 # It was stopped while the order was on its way: the stop may have come first.

@@ -34,7 +34,7 @@ READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
 END_NS = 50 * NS_PER_S  # for the rest of the jobs to end
 LOOK_NS = 200 * NS_PER_MS
 RESTS = 150  # looks at who rests, 7 ms apart
-HOMES_SHARE = 0.4
+HOMES_SHARE = 0.4  # of what homing is expected to take: within it nearly all of them still look
 HANDS = 0.3  # chance of somebody who jogs meanwhile
 
 # When, after its first request to the member, a stage is to be broken: earliest and latest.

@@ -23,7 +23,7 @@ LOOK_NS = (
     400 * NS_PER_MS
 )  # from the end of a job that failed, by the journal, to the rest of its axes, but for the ramp
 ORIGIN_COUNTS = 2  # by which two homings of one axis may differ
-ON_WIRE_NS = 100 * NS_PER_MS
+ON_WIRE_NS = 100 * NS_PER_MS  # after a search was given up: what was told before still begins, and its stop follows
 BY_HAND_NS = 700 * NS_PER_MS  # from the last renewal of a jog to the end of its motion, but for the ramp
 
 
@@ -162,7 +162,7 @@ class Judge:
             for step in report.steps if report is not None else []:
                 self._judge_evidence(act, job_id, step)
         # A crystal that has had a blow stays as it is.
-        self._strange = {name for name in self._strange if name in self._off_beat}
+        self._strange &= self._off_beat
 
     def _origin_ns(self) -> int:
         """Of fleet time, in host ns; the same for all reigns on one kernel."""

@@ -33,7 +33,8 @@ def _round() -> list[Cell]:
 ROUND = _round()
 PAIRS = len(STAGES) * len(FAULTS)
 
-# To prepare a fleet takes as long as an act. With three, ten thousand seeds hit every cell twenty times.
+# To prepare a fleet takes as long as an act. With two of them ten thousand seeds aim at each cell 21 times, and some of
+# what is aimed at comes too late.
 ACTS = 3
 
 

@@ -10,18 +10,17 @@ import pytest
 from cluster.test_chain import MOVE as CHAIN_MOVE
 from cluster.test_chain import PREPARE as CHAIN_PREPARE
 from cluster.test_chain import chain_fleet
-from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, rested_when_leased, run_fleet
 
 from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.member import Member
 from adapters.smc30.driver import SmcDriver
-from orchestrator.bus.base import Sample
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply
-from orchestrator.model.report import JobState, Lease
+from orchestrator.model.report import JobState
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
@@ -114,13 +113,7 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
-        rested: dict[str, bool] = {}
-
-        def look(sample: Sample) -> None:
-            holder = Lease.model_validate_json(sample.payload).holder
-            rested.setdefault(holder or "", fleet.controllers["gantry"].at_rest())
-
-        await client.bus.subscribe(fleet.keys.lease("gantry"), look)
+        rested = await rested_when_leased(fleet, client, "gantry")
         first = await client.submit(GANTRY)
         second = await client.submit(BACK)
         await asyncio.sleep(3.0)

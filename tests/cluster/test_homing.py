@@ -3,15 +3,14 @@
 import asyncio
 
 import pytest
-from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
+from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, rested_when_leased, run_fleet
 
-from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.lab.sync_fleets import smc2000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import Lease, Progress
+from orchestrator.model.report import Progress
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
 HOME = job("[{do: home}]")
@@ -231,13 +230,7 @@ def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))
         client = fleet.client()
-        rested: dict[str, bool] = {}
-
-        def look(sample: Sample) -> None:
-            holder = Lease.model_validate_json(sample.payload).holder
-            rested.setdefault(holder or "", fleet.controllers["gantry"].at_rest())
-
-        await client.bus.subscribe(fleet.keys.lease("gantry"), look)
+        rested = await rested_when_leased(fleet, client, "gantry")
         first = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
         second = await client.submit(job("[{do: enable, axes: [gantry.x]}]"))
         await asyncio.sleep(after_ms / 1000)

@@ -4,13 +4,15 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
+from orchestrator.bus.base import Sample
+from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet, load_job, parse
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Refusal
-from orchestrator.model.report import JobReport
+from orchestrator.model.report import JobReport, Lease
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 T = TypeVar("T")
@@ -67,6 +69,18 @@ def changed(fleet: Fleet, **controllers: dict[str, Any]) -> Fleet:
             else:
                 target[field] = value
     return Fleet.model_validate(plain)
+
+
+async def rested_when_leased(fleet: VirtualFleet, client: Tutti, controller: str) -> dict[str, bool]:
+    """By holder, whether `controller` was at rest when it was leased to them first; filled from now on."""
+    rested: dict[str, bool] = {}
+
+    def look(sample: Sample) -> None:
+        holder = Lease.model_validate_json(sample.payload).holder
+        rested.setdefault(holder or "", fleet.controllers[controller].at_rest())
+
+    await client.bus.subscribe(fleet.keys.lease(controller), look)
+    return rested
 
 
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
