@@ -29,10 +29,11 @@ VECTORS = tests/contract/vectors
 demo: .venv/.stamp
 	.venv/bin/tutti demo
 
-# For two cores: one worker waits in live tests while two compute. Live tests start hundreds of interpreters, so that
-# compiled modules are kept even where the environment forbids it.
+# For two cores. Live tests by themselves: their processes have to answer each other in time. They start hundreds of
+# interpreters, so that compiled modules are kept even where the environment forbids it.
 test: .venv-dev/.stamp
-	PYTHONDONTWRITEBYTECODE= .venv-dev/bin/pytest -n 3 --dist worksteal
+	.venv-dev/bin/pytest -m "not live" -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= .venv-dev/bin/pytest -m live -n 2 --dist loadgroup
 
 # Simulated controllers against drivers from PyPI; a skipped test is a failed one.
 test-thirdparty: .venv-thirdparty/.stamp

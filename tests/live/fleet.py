@@ -12,6 +12,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
+import pytest
 from children import LIMIT_S, wait_until
 
 from orchestrator.client import Tutti
@@ -19,6 +20,9 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.state import ControllerState
+
+# Two at once on two processors keep each other from answering in time, which no test is about.
+ONE_FLEET_AT_A_TIME = pytest.mark.xdist_group("fleet")
 
 T = TypeVar("T")
 Entry = dict[str, Any]

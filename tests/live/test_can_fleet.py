@@ -8,9 +8,9 @@ from pathlib import Path
 import can
 import pytest
 from children import wait_until
-from fleet import RunningFleet, margin_s
+from fleet import ONE_FLEET_AT_A_TIME, RunningFleet, margin_s
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
 FLEET = """
 schema: tutti.fleet/1

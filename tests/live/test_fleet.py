@@ -11,13 +11,23 @@ from pathlib import Path
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import EXAMPLES, READY, SLOW_AXES, RunningFleet, free_port, margin_s, run_tutti, wait_a_moment
+from fleet import (
+    EXAMPLES,
+    ONE_FLEET_AT_A_TIME,
+    READY,
+    SLOW_AXES,
+    RunningFleet,
+    free_port,
+    margin_s,
+    run_tutti,
+    wait_a_moment,
+)
 
 from orchestrator.clock.hurry import Urgency
 from orchestrator.clock.live import raw_ns
 from orchestrator.coordinator.journal import Journal
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
 # What the processes declare, in seconds, and what a busy machine may add to it.
 HOST_DEAD_S = 0.3

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from children import LIMIT_S, wait_until
-from fleet import EXAMPLES, RunningFleet, margin_s, run_tutti, wait_a_moment
+from fleet import EXAMPLES, ONE_FLEET_AT_A_TIME, RunningFleet, margin_s, run_tutti, wait_a_moment
 
 from orchestrator.clock.live import raw_ns
 from orchestrator.lab.terminal_process import TerminalProcess
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
 COMMAND = "from orchestrator.cli.main import main; main(prog_name='tutti')"
 
