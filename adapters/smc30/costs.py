@@ -36,7 +36,7 @@ def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
     ramp_s: the longest ramp of the motion that may have to be stopped.
     """
     settle_ns = options.answer_ms * NS_PER_MS + 2 * _LONGEST_LINE * char_ns
-    arm_ns = exchange_ns(options, char_ns, _CHECK, _LOAD, _LIST, _POINTS, _START, _CHECK)
+    arm_ns = exchange_ns(options, char_ns, _CHECK, _LOAD, _LIST, _POINTS, _SENTINEL, _START, _CHECK)
     promise_ns = exchange_ns(options, char_ns, _CHECK, _SENTINEL)
     unload_ns = exchange_ns(options, char_ns, _STOP, _CHECK)
     program_ns = (LINES_BEFORE * options.line_us + options.decode_us) * NS_PER_US

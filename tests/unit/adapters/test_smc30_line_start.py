@@ -103,6 +103,27 @@ def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None
     run(main)
 
 
+@pytest.mark.parametrize("after_ms", range(0, 180, 10))
+def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(after_ms: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        lowered = driver.lower(await world.plan(driver, 6000), wait(), None)
+        arming = asyncio.ensure_future(driver.arm(lowered, world.t0(lowered), None))
+        await world.sleep(after_ms)
+        unit.set_power(False)
+        await world.sleep(100)
+        unit.set_power(True)
+        with pytest.raises((CannotDo, DriverFault)):
+            await arming
+        assert (await driver.poll()).restarted
+        unit.set_input(1, True)
+        await world.sleep(3000)
+        assert not unit.motions
+
+    run(main)
+
+
 def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
     async def main(world: World) -> None:
         await world.ready()
