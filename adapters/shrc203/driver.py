@@ -8,7 +8,6 @@ from adapters.contract import (
     CannotDo,
     Capabilities,
     Driver,
-    DriverFault,
     Identity,
     JogMove,
     Lowered,
@@ -113,12 +112,9 @@ class ShrcDriver(Driver):
         self._connected()
         assert self._poller is not None
         reading = await self._poller.poll()
-        if reading.restarted:
-            await self._recover(self._connected())
-        elif self._connected().untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
+        if self._connected().untidy_at_rest and not any(axis.moving for axis in reading.axes.values()):
             await self._moving().tidy()
-        # It may also have been met again with its sentinel gone.
-        restarted, self._restarted = reading.restarted or self._restarted, False
+        restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
 
     # A step
@@ -273,17 +269,6 @@ class ShrcDriver(Driver):
     async def _read_motors(self, unit: UnitState) -> None:
         answer = await unit.session.ask("?:CW", flags(len(unit.controllable)))
         unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
-
-    async def _recover(self, unit: UnitState) -> None:
-        """The unit was switched off and on: load again what it has lost."""
-        self._moving().forget()
-        self._crystal.forget()
-        try:
-            await self.configure()
-        except CannotDo as error:
-            said = error.refusal
-            raise DriverFault(said.code, said.text, said.remedy) from None
-        await self._read_motors(unit)
 
 
 def _char_ns(setup: Setup, options: Options) -> int:

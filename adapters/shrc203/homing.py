@@ -33,7 +33,7 @@ async def home(
 
     Gives those that have not got there. Raises `CannotDo` when none was begun.
     """
-    session, restarts = unit.session, unit.restarts
+    session = unit.session
     waiting = [_search(config, unit, name) for name in axes]
     failed: dict[str, CannotDo] = {}
     begun = False
@@ -56,7 +56,7 @@ async def home(
             begun = True
             while running:
                 await session.wait_changed(clock.now_ns() + _LOOK_NS)
-                for each, error in await _ended(unit, running, restarts):
+                for each, error in await _ended(unit, running):
                     running.remove(each)
                     if error is None:
                         found(each.axis)
@@ -98,7 +98,7 @@ async def _begin(unit: UnitState, search: _Search) -> None:
         raise
 
 
-async def _ended(unit: UnitState, running: Sequence[_Search], restarts: int) -> list[tuple[_Search, CannotDo | None]]:
+async def _ended(unit: UnitState, running: Sequence[_Search]) -> list[tuple[_Search, CannotDo | None]]:
     """Those of `running` that have come to rest, with what has become of them by all that the unit says."""
     session = unit.session
     now = status(await session.ask("Q:SPC", STATUS), unit.controllable)
@@ -107,7 +107,7 @@ async def _ended(unit: UnitState, running: Sequence[_Search], restarts: int) -> 
         return []
     limited = limit_stopped(await session.ask("SRQ:", STOPS))
     query, expected = unit.sentinel
-    restarted = await session.ask(query, triples(1)) != expected or unit.restarts != restarts
+    restarted = await session.ask(query, triples(1)) != expected
     judged: list[tuple[_Search, CannotDo | None]] = []
     for each in ended:
         axis, why = now[each.motor], ""

@@ -10,6 +10,7 @@ from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, tr
 from adapters.shrc203.status import ERRORS, faults, lost
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import Fault
 
@@ -33,8 +34,10 @@ class Poller:
 
     async def poll(self) -> Reading:
         unit, session = self._unit, self._unit.session
-        restarted = await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]
         line = await session.ask_line("Q:SPC", STATUS)
+        # Behind it: what it has said is true of axes that still know where they are.
+        if await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]:
+            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
         now = status(line.text, unit.controllable)
         if unit.timing is not None:
             unit.timing.looked("Q:SPC", line, now)
@@ -66,9 +69,6 @@ class Poller:
             found += faults(name, axis.word)
         unit.sound = not any(each.word & ERRORS for each in now.values())
         self._last, self._last_ns = now, line.at_ns
-        if restarted:
-            unit.restarts += 1
-            session.owe_nothing()
         if session.owed - busy:
             session.changed.set()  # at rest without a completion line: whoever waits for it shall look
         return Reading(
@@ -77,7 +77,6 @@ class Poller:
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
             faults=found,
-            restarted=restarted,
         )
 
     def _forgive(self, busy: set[int], at_ns: int) -> None:

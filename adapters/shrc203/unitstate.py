@@ -19,7 +19,7 @@ class UnitState:
 
     untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them. sound: no
     error stood at the last poll.
-    by_hand: motors that were last set going by a jog, which sends no completion line. restarts: noticed so far.
+    by_hand: motors that were last set going by a jog, which sends no completion line.
     waiting: motors in standby for an input, as far as is known, with the pulses where they stand. line_starts: whether
     the unit takes such standbys. outputs: value of all outputs as last read or written; driving: a step switches one.
     chaining: a chain of moves is loaded or under way. timing: what is seen of the move that is under way.
@@ -34,7 +34,6 @@ class UnitState:
     sound: bool = True
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
     by_hand: set[int] = field(default_factory=set[int])
-    restarts: int = 0
     waiting: dict[int, int] = field(default_factory=dict[int, int])
     line_starts: bool = True
     outputs: int = 0

@@ -94,6 +94,7 @@ class SmcDriver(Driver):
         self._restarted = self._restarted or (fresh and self._met)
         if fresh:
             self._crystal.forget()
+            self._connected().lost = False
         self._met = True
 
     @property
@@ -112,27 +113,12 @@ class SmcDriver(Driver):
     async def poll(self) -> Reading:
         unit = self._connected()
         assert self._poller is not None
-        axis, inputs, outputs, faults, at_ns, kept = await self._poller.poll()
-        if not kept:
-            await self._recover(unit)
-        restarted, self._restarted = self._restarted or not kept, False
+        axis, inputs, outputs, faults, at_ns = await self._poller.poll()
+        restarted, self._restarted = self._restarted, False
         self._lost = unit.lost
         return Reading(
             at_ns=at_ns, axes={self._axis: axis}, inputs=inputs, outputs=outputs, faults=faults, restarted=restarted
         )
-
-    async def _recover(self, unit: UnitState) -> None:
-        """The unit was switched off and on: load again what it has lost. Its motor is on then."""
-        self._crystal.forget()
-        mover = self._moving()
-        move, mover.move = mover.move, None
-        if move is not None and move.order is not None:
-            move.order.cancel()
-        unit.doing = "nothing"
-        unit.enabled = self._enabled = True
-        unit.program_error = unit.overflow = unit.lost = False
-        async with unit.loading:
-            await startup.configure(unit, self._options, self._clock)
 
     # A step
 

@@ -11,6 +11,7 @@ from adapters.smc30.ramp import Ramp, Shape
 from adapters.smc30.session import Busy
 from adapters.smc30.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import Fault
 
@@ -29,16 +30,15 @@ class Poller:
 
     async def poll(
         self,
-    ) -> tuple[AxisReading, dict[int, bool], dict[int, bool], list[Fault], int, bool]:
-        """The axis, inputs, outputs, faults, the instant, and whether the volatile memory was kept."""
+    ) -> tuple[AxisReading, dict[int, bool], dict[int, bool], list[Fault], int]:
+        """The axis, inputs, outputs, faults, and the instant. Raises `LinkClosed` of a unit that was switched off."""
         unit = self._unit
         now = await unit.status()
-        kept = True
         # In Programming Mode neither position nor inputs are told; it stands where it stood.
         if not now.busy and not unit.loading.locked():
             try:
                 async with unit.loading:
-                    kept = await self._at_rest()
+                    await self._at_rest()
             except Busy:
                 now = await unit.status()
         if not now.busy:
@@ -56,17 +56,18 @@ class Poller:
             limit=unit.limit,
             lost=unit.lost,
         )
-        return axis, dict(self._inputs), dict(self._outputs), self._faults(), now.at_ns, kept
+        return axis, dict(self._inputs), dict(self._outputs), self._faults(), now.at_ns
 
-    async def _at_rest(self) -> bool:
-        """Ask everything; whether the volatile memory was kept. Raises `Busy`."""
+    async def _at_rest(self) -> None:
+        """Ask everything. Raises `Busy`."""
         unit = self._unit
         await unit.leave_programming()
-        kept = await unit.holds_sentinel()
         unit.rest_counts = await unit.position()
         if self._points_named:
             self._inputs, self._outputs = await unit.points()
-        return kept
+        # Behind it: what it has said is true of an axis that still knows where it is.
+        if not await unit.holds_sentinel():
+            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
 
     def _settled(self) -> None:
         """At rest: a jog that was on its way has ended."""

@@ -8,6 +8,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from unit.adapters.restarts import sees_the_restart
 
 from adapters.contract import CannotDo, DriverFault, Setup
 from adapters.firing import LoopFirer
@@ -285,8 +286,7 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
         if when == "armed":
             with pytest.raises(CannotDo):
                 await bench.driver.verify()
-        assert (await bench.driver.poll()).restarted
-        assert not (await bench.driver.poll()).restarted
+        await sees_the_restart(bench.driver)
         await bench.start({"x": 1000})
         await bench.driver.started()
         assert (await bench.driver.outcome()).state == "done"

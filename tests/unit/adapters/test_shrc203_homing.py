@@ -10,6 +10,7 @@ from unit.adapters.watching import Polling, at_rest, not_found
 
 from adapters.contract import CannotDo, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.link.base import LinkClosed
 
 
 def mixed(*methods: str) -> Any:
@@ -171,7 +172,8 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
         bench.unit.set_power(True)
         if polls:
-            await bench.driver.poll()
+            with pytest.raises(LinkClosed, match="restarted"):
+                await bench.driver.poll()
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         why = not_found(outcome, "x")
         assert "restarted" in why or "no answer" in why

@@ -6,6 +6,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
 from adapters.contract import CannotDo, DriverFault
@@ -133,8 +134,7 @@ def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
                 await bench.driver.started()
                 await bench.driver.outcome()
         await sleep_ns(bench.clock, 3500 * NS_PER_MS)
-        assert (await bench.driver.poll()).restarted
-        assert not (await bench.driver.poll()).restarted
+        await sees_the_restart(bench.driver)
         await bench.driver.disarm()
         await bench.start({"x": 1234})
         await bench.driver.started()

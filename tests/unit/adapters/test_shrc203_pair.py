@@ -6,6 +6,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from unit.adapters.test_shrc203_lowering import controller as one_axis
 from unit.adapters.test_shrc203_lowering import wire
@@ -365,7 +366,7 @@ def test_a_power_cut_is_a_fault(at_s: float) -> None:
         bench.wire.links[-1].write(b"RESET:\r\n")
         outcome = await following
         assert outcome.state == "fault", outcome
-        await bench.driver.poll()
+        await sees_the_restart(bench.driver)
         await nothing_is_left(bench)
 
     run(case)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from random import Random
 
 import pytest
+from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_smc30_bench import HOST, World, config, run, wait
 
 from adapters.contract import CannotDo, DriverFault, JogMove, Setup
@@ -284,8 +285,7 @@ def test_a_unit_that_is_off_is_said_and_the_others_are_read() -> None:
         for address in (1, 3):
             assert not (await world.drivers[address].poll()).axes["x"].moving
         world.units[2].set_power(True)
-        assert (await world.drivers[2].poll()).restarted
-        assert not (await world.drivers[2].poll()).restarted
+        await sees_the_restart(world.drivers[2])
 
     run(main, (1, 2, 3))
 
@@ -358,7 +358,7 @@ def test_power_lost_in_a_move_is_a_fault_and_noticed() -> None:
             await driver.outcome()
         assert caught.value.fault.code == "no-answer"
         unit.set_power(True)
-        assert (await driver.poll()).restarted
+        await sees_the_restart(driver)
         await driver.enable(["x"], True)
         _, _, outcome = await world.move(driver, 500)
         assert outcome.state == "done"
@@ -379,7 +379,7 @@ def test_power_lost_and_back_in_a_move() -> None:
         await world.sleep(50)
         unit.set_power(True)
         assert (await driver.outcome()).state == "fault"
-        assert (await driver.poll()).restarted
+        await sees_the_restart(driver)
 
     run(main)
 
@@ -401,7 +401,7 @@ def test_power_lost_and_back_just_before_the_start_is_no_start() -> None:
         with pytest.raises(DriverFault, match="restarted before its start") as caught:
             await driver.started()
         assert caught.value.fault.code == "not-started"
-        assert (await driver.poll()).restarted
+        await sees_the_restart(driver)
         assert len(unit.motions) == 1
 
     run(main)

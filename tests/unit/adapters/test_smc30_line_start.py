@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_smc30_bench import HOST, WINDOW_NS, World, drive, run, wait
 
 from adapters.contract import CannotDo, DriverFault
@@ -116,7 +117,7 @@ def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(a
         unit.set_power(True)
         with pytest.raises((CannotDo, DriverFault)):
             await arming
-        assert (await driver.poll()).restarted
+        await sees_the_restart(driver)
         unit.set_input(1, True)
         await world.sleep(3000)
         assert not unit.motions

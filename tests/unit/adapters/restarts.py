@@ -1,0 +1,16 @@
+"""How drivers tell of a controller that was restarted behind an open line."""
+
+import pytest
+
+from adapters.contract import Driver
+from orchestrator.link.base import LinkClosed
+
+
+async def sees_the_restart(driver: Driver) -> None:
+    """A poll gives the link up at once, and the first one after meeting the controller again tells why, once."""
+    with pytest.raises(LinkClosed, match="restarted"):
+        await driver.poll()
+    await driver.close()
+    await driver.connect()
+    await driver.configure()
+    assert [(await driver.poll()).restarted for _ in range(2)] == [True, False]
