@@ -61,8 +61,12 @@ class Line:
         self.answered = False
         """Somebody has answered since the port was opened."""
         self.ahead: Ahead | None = None
-        self.waiting: deque[Poller | None] = deque()
-        """Who waits for a turn, in order; None: for something else than a poll."""
+        self.missing: set[int | None] = set()
+        """Units of a chain that did not answer when they were last asked, whoever asks again."""
+        self.waiting: deque[Turn] = deque()
+        """In the order in which they are given."""
+        self.others = 0
+        """Turns since the last one of a missing unit: so many go before the next one, as long as somebody waits."""
         self._opening = asyncio.Lock()
         self._link: Link | None = None
         self._users: set[int | None] = set()
@@ -117,11 +121,13 @@ class Line:
 
 
 class Turn:
-    """`async with`: a turn on the line; within a turn of the same task, a part of that."""
+    """`async with`: a turn on the line for `unit`; within a turn of the same task, a part of that. poller: None when it
+    is for something else than a poll."""
 
-    def __init__(self, line: Line, poller: Poller | None = None) -> None:
+    def __init__(self, line: Line, unit: int | None, poller: Poller | None = None) -> None:
+        self.poller = poller
         self._line = line
-        self._poller = poller
+        self._unit = unit
         self._part = False
 
     async def __aenter__(self) -> None:
@@ -129,19 +135,28 @@ class Turn:
         self._part = line.owner is task
         if self._part:
             return
-        line.waiting.append(self._poller)
+        line.waiting.append(self)
         try:
             # Turns are given in the order in which they were asked for.
             await line.turn.acquire()
+            while self.missing and line.others < len(line.units) and not all(turn.missing for turn in line.waiting):
+                line.waiting.rotate(-1)
+                line.turn.release()
+                await line.turn.acquire()
         finally:
-            line.waiting.remove(self._poller)
+            line.waiting.remove(self)
         line.owner = task
+
+    @property
+    def missing(self) -> bool:
+        """It will probably take a time-out."""
+        return self._unit in self._line.missing
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._part:
-            self._line.owner = None
+            self._line.owner, self._line.others = None, 0 if self.missing else self._line.others + 1
             self._line.turn.release()
 
 

@@ -55,7 +55,7 @@ class PolledSession(SerialSession):
         alone = False
         while True:
             await self._until_allowed()
-            async with Turn(line, None if alone else self):
+            async with Turn(line, self._unit, None if alone else self):
                 if self._forbidden():
                     continue
                 stops, self._overlapped = line.stops, False
@@ -156,7 +156,7 @@ class PolledSession(SerialSession):
 
     def _let_next_begin(self) -> None:
         line = self._line
-        poller = line.waiting[0] if line.waiting else None
+        poller = line.waiting[0].poller if line.waiting else None
         text = None if poller is None else poller.poll_ahead()
         if poller is not None and text is not None:
             line.ahead = Ahead(poller, self._link.write(text.encode("ascii")))

@@ -59,7 +59,6 @@ class SerialSession(Session):
         self._marked: bytearray = bytearray()
         self._settled = False
         self._known = False
-        self._missing = False
         self._own_stops = 0
 
     # What others ask for
@@ -69,7 +68,7 @@ class SerialSession(Session):
 
     def together(self) -> Turn:
         """`async with`: exchanges with nobody else's between them."""
-        return Turn(self._line)
+        return Turn(self._line, self._unit)
 
     async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
         """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing."""
@@ -98,7 +97,7 @@ class SerialSession(Session):
         """Control R control V (L13320). It ends without CR: what other units of a chain have made of it is cleared
         before anybody else's turn."""
         line = self._line
-        async with Turn(line):
+        async with Turn(line, self._unit):
             try:
                 await self._turn_to_unit()
                 reply, _ = await self._exchange(_REVISION, self._reply)
@@ -142,7 +141,7 @@ class SerialSession(Session):
 
     async def _download(self, command: str, lines: tuple[str, ...]) -> None:
         line = self._line
-        async with Turn(line):
+        async with Turn(line, self._unit):
             await self._turn_to_unit()
             try:
                 line.in_step, self._settled, line.loading = False, False, True
@@ -169,7 +168,7 @@ class SerialSession(Session):
         Without a pause after QD: should it be refused, they are lines of numbers, which are no commands.
         """
         line = self._line
-        async with Turn(line):
+        async with Turn(line, self._unit):
             await self._turn_to_unit()
             stops, loaded = line.stops, False
             try:
@@ -232,7 +231,7 @@ class SerialSession(Session):
         """
         line, begins = self._line, command.startswith(BEGINNINGS)
         while True:
-            async with Turn(line):
+            async with Turn(line, self._unit):
                 stops = line.stops
                 try:
                     await self._turn_to_unit()
@@ -299,7 +298,7 @@ class SerialSession(Session):
         if line.ahead is not None:
             line.out_of_step()
         # Who is missing already does not take the others' time twice.
-        left = _TRIES if self._unit is None or not self._missing else 1
+        left = 1 if self._unit in line.missing else _TRIES
         while not (line.in_step and line.selected == self._unit and self._settled):
             stops, line.in_step, line.selected = line.stops, False, None
             marker = line.marker()
@@ -317,12 +316,13 @@ class SerialSession(Session):
                     self._settled = False
                     left -= 1
                     if not left:
-                        self._missing = True
+                        if self._unit is not None:
+                            line.missing.add(self._unit)
                         raise
                 continue
             if line.stops == stops:
                 line.in_step, line.selected, self._settled, line.half_line = True, self._unit, True, False
-                self._missing = False
+                line.missing.discard(self._unit)
 
     def _addressed(self, left: int) -> str:
         """A controller alone does not need an address, unless somebody has addressed another one before."""

@@ -1,6 +1,7 @@
 """Several SMC-2000 on one daisy chain: who asks gets its own answer, and what goes wrong with one is not the others'."""
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from random import Random
 from typing import Any
 
@@ -75,16 +76,22 @@ def test_what_a_program_reports_of_its_error_is_taken_for_nobodys_answer(hold_ms
     run_chain(main, seed=4, hold_ms=hold_ms)
 
 
-@pytest.mark.parametrize("asked", ["poll", "raw"])
+@pytest.mark.parametrize("asked", ["poll", "command", "meet"])
 def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: str):
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
         world.units[2].set_power(False)
+        driver = world.drivers[2]
+        asking: dict[str, Callable[[], Awaitable[object]]] = {
+            "poll": driver.poll,
+            "command": lambda: driver.raw("MG TIME"),
+            "meet": driver.connect,
+        }
 
         async def knock() -> None:
             for _ in range(20):
                 with pytest.raises((DriverFault, LinkClosed)):
-                    await (world.drivers[2].poll() if asked == "poll" else world.drivers[2].raw("MG TIME"))
+                    await asking[asked]()
                 await sleep_ns(world.clock, 20 * NS_PER_MS)
 
         task = asyncio.get_running_loop().create_task(knock())
@@ -99,6 +106,34 @@ def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: s
         assert max(took_ns) < 450 * NS_PER_MS
         # It is known to be missing then, and is tried once.
         assert max(took_ns[3:]) < 300 * NS_PER_MS
+
+    run_chain(main)
+
+
+def test_who_waits_for_a_turn_goes_before_a_unit_that_is_missing():
+    """However many ask for it: its member, who would meet it again, and a person."""
+
+    async def main(world: ChainWorld) -> None:
+        await world.ready(5)
+        world.units[2].set_power(False)
+        for _ in range(2):
+            with pytest.raises(DriverFault):
+                await world.drivers[2].raw("MG TIME")
+
+        async def knock() -> None:
+            for _ in range(8):
+                with pytest.raises(DriverFault):
+                    await world.drivers[2].raw("MG TIME")
+
+        tasks = [asyncio.get_running_loop().create_task(knock()) for _ in range(3)]
+        took_ns: list[int] = []
+        while not all(task.done() for task in tasks):
+            await sleep_ns(world.clock, 20 * NS_PER_MS)
+            began_ns = world.clock.now_ns()
+            await world.drivers[0].poll()
+            took_ns.append(world.clock.now_ns() - began_ns)
+        await asyncio.gather(*tasks)
+        assert len(took_ns) > 15 and max(took_ns) < 200 * NS_PER_MS
 
     run_chain(main)
 
