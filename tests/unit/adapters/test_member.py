@@ -14,7 +14,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import Arm, Commit, Go
+from orchestrator.model.messages import Arm, Commit, Disarm, Go
 from orchestrator.model.state import Costs, EventKind
 
 T0_NS = 1 * NS_PER_S
@@ -58,6 +58,8 @@ class Scripted:
         self.told.append("abort" if abort else "stop")
 
     async def disarm(self) -> None:
+        if self.closed:
+            raise LinkClosed("the port is closed")
         self.told.append("disarm")
 
     async def started(self) -> Mapping[str, Span]:
@@ -198,6 +200,25 @@ def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> No
             await desk.go()
         assert desk.driver.told == ["arm", "verify", "go", "stop", "disarm"]
         assert desk.member.ticket is None
+
+    run(body)
+
+
+@pytest.mark.parametrize("promised", [False, True])
+def test_who_can_not_be_unloaded_is_owed_a_stop(promised: bool) -> None:
+    """It may wait for a wired start, and nobody knows whether it has heard that it shall not any more."""
+
+    async def body(desk: Desk) -> None:
+        await desk.arm(0, T0_NS)
+        if promised:
+            await desk.member.commit(Commit(**desk._ref(0), t0_fleet_ns=T0_NS))
+        desk.driver.closed = True
+        with pytest.raises(LinkClosed):
+            await desk.member.disarm(Disarm(**desk._ref(0)))
+        assert desk.member.stop_owed
+        desk.driver.closed = False
+        await desk.member.disarm(Disarm(**desk._ref(0)))
+        assert not desk.member.stop_owed and desk.driver.told[-1] == "disarm"
 
     run(body)
 

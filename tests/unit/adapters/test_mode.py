@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 
 from adapters.condition import STARTING, Condition
-from adapters.contract import AxisReading, Driver, Reading
+from adapters.contract import AxisReading, Driver, DriverFault, Reading
 from adapters.jogging import Jogging
 from adapters.presenter import Presenter
 from adapters.seat import Seat
@@ -154,3 +154,41 @@ def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did
     Unit._offline(cast(Unit, unit), STARTING)
     assert unit._stop_owed is owed
     assert condition.may_move is owed
+
+
+def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -> None:
+    """What was written into a line that is still broken is lost."""
+    told: list[str] = []
+
+    class Broken:
+        async def stop_first(self) -> bool:
+            told.append("stop")
+            return True
+
+        async def connect(self) -> None:
+            told.append("connect")
+            if told.count("connect") < 3:
+                raise DriverFault("no-answer", "nothing came", "")
+
+    async def loaded() -> None:
+        return None
+
+    async def main(_: VirtualClock) -> None:
+        unit = SimpleNamespace(
+            _stop_owed=True,
+            _driver=Broken(),
+            _condition=Condition(CONFIG),
+            _member=SimpleNamespace(loaded=loaded),
+            _presenter=SimpleNamespace(emit=lambda kind, _: told.append(kind)),
+        )
+        unit._pay_owed_stop = partial(Unit._pay_owed_stop, cast(Unit, unit))
+        for _ in range(2):
+            with pytest.raises(DriverFault):
+                await Unit._reach(cast(Unit, unit))
+            assert unit._stop_owed
+        for _ in range(2):
+            await Unit._reach(cast(Unit, unit))
+            assert not unit._stop_owed
+
+    run_virtual(main)
+    assert told == [*["stop", "connect"] * 3, "stopped", "connect"]
