@@ -6,8 +6,9 @@ never be cancelled before what is queued behind it is overwritten, because cance
 
 from adapters.contract import DriverFault
 from adapters.shrc203.axes import letter
-from adapters.shrc203.replies import NOT_SET, amounts, entries
+from adapters.shrc203.replies import NOT_SET, STATUS, amounts, entries, status
 from adapters.shrc203.session import Session
+from adapters.shrc203.status import ERRORS
 
 _TRIES = 2
 
@@ -51,24 +52,30 @@ class Buffers:
         for each in sorted(motors):
             await self._session.try_to_tell(f"MP:{each}+P0")
 
-    async def make_harmless(self, excited: dict[int, bool]) -> None:
-        """See to it that nothing queued can move an axis. Never starts a move.
+    async def make_harmless(self, excited: dict[int, bool]) -> bool:
+        """See to it that nothing queued can move an axis. Never starts a move. Whether nothing is left there.
 
         What is queued on an axis without excitation stays: it can not start (L4777, L4822), and is overwritten when the
-        motor is switched on. Raises `DriverFault` (code `still-armed`).
+        motor is switched on. So does what is queued on an axis in an error, which takes nothing and does not start
+        before the error has been cleared. Raises `DriverFault` (code `still-armed`).
         """
         for _ in range(_TRIES):
             found = {each for each in await self.dangerous() if excited.get(each, True)}
             if not found:
-                return
+                return True
             await self.clear(found)
         found = {each for each in await self.dangerous() if excited.get(each, True)}
+        if not found:
+            return True
+        now = status(await self._session.ask("Q:SPC", STATUS), self._controllable)
+        found -= {motor for motor, each in now.items() if each.word & ERRORS}
         if found:
             raise DriverFault(
                 "still-armed",
                 f"the unit keeps a queued move on axis {letter(found)} although it was overwritten",
                 "switch the unit off and on",
             )
+        return False
 
     async def end_standby(self, busy: set[int]) -> None:
         """End standbys that somebody left on `busy` axes, without starting what is queued behind them."""

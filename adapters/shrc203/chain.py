@@ -160,7 +160,7 @@ class Chain:
             check(name, axis, now[number].counts, each)
             self._threads[number] = _Thread(name, number, now[number].counts, each)
         unit.by_hand -= set(self._threads)
-        await unit.buffers.make_harmless(unit.excited)
+        await unit.make_harmless()
         await session.tell(f"GC:{letter(self._threads)}")
 
     async def _start(self) -> None:
@@ -176,7 +176,7 @@ class Chain:
             await session.tell(f"G:{letter(self._threads)}", self._require_no_stop)
         except CannotDo:
             session.owe_nothing()
-            await self._unit.buffers.make_harmless(self._unit.excited)
+            await self._unit.make_harmless()
             raise
         now_ns = self._clock.now_ns()
         for thread in self._threads.values():
@@ -372,7 +372,7 @@ class Chain:
             unit.untidy = True  # an emergency stop lets nothing be overwritten, and nothing start
             return
         async with unit.loading:
-            await unit.buffers.make_harmless(unit.excited)
+            await unit.make_harmless()
 
 
 def _answered(load: "asyncio.Future[Line]") -> bool:

@@ -78,7 +78,7 @@ class ShrcDriver(Driver):
         identity = await startup.identify(session)
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
         await self._read_motors(unit)
-        await unit.buffers.make_harmless(unit.excited)
+        await unit.make_harmless()
         return identity
 
     async def configure(self) -> None:
@@ -174,7 +174,7 @@ class ShrcDriver(Driver):
         if wrong:
             raise CannotDo("not-switched", f"axis {wrong[0]} is not {'on' if on else 'off'} yet", "look at the unit")
         if on:
-            await unit.buffers.make_harmless(unit.excited)
+            await unit.make_harmless()
 
     async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
         return await home(self._config, self._clock, self._connected(), axes, found)

@@ -160,8 +160,8 @@ class Mover:
         if self._output is not None:
             await self._output.end()
         await self._standby.end()
-        await self._unit.buffers.make_harmless(self._unit.excited)
         self._unit.untidy = False
+        await self._unit.make_harmless()
 
     def forget(self) -> None:
         """The unit has lost what it was loaded with, or the connection ends."""
@@ -386,7 +386,7 @@ class Mover:
         if any(each.word & ERRORS for each in move.seen.values()):
             self._unit.untidy = True  # an emergency stop lets nothing be overwritten, and nothing start
         else:
-            await self._unit.buffers.make_harmless(self._unit.excited)
+            await self._unit.make_harmless()
         if move.stopped_ns is not None and not error:
             return Outcome("stopped", ended, "; ".join(["stopped on request", *reasons]))
         return Outcome("fault", ended, "; ".join(reasons))

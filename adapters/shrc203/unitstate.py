@@ -51,6 +51,12 @@ class UnitState:
         """Whether the prebuffers are to be emptied, and can be: in an error nothing is taken, and nothing starts."""
         return self.untidy and self.sound
 
+    async def make_harmless(self) -> None:
+        """See to it that nothing queued can move an axis, now, and later when the error of its axis has been cleared.
+        Never starts a move. Raises `DriverFault` (code `still-armed`)."""
+        if not await self.buffers.make_harmless(self.excited):
+            self.untidy = True
+
     # Setting going, and stopping
 
     def count_stop(self, motors: Iterable[int]) -> None:

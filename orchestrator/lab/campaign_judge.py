@@ -374,8 +374,10 @@ class Judge:
         if step.t0_fleet_ns is None:
             return
         origin_ns, t0_ns = self._origin_ns(), step.t0_fleet_ns
+        driven = {each.target for each in self._whole.connections if each.source in self._strange}
         for name, member in step.members.items():
-            if name in self._strange:
+            # Who is started by a line begins when the one that drives it says.
+            if name in self._strange or (member.start_class == "line" and name in driven):
                 continue
             axes = self._whole.controllers[name].axes
             for axis, evidence in member.evidence.items():

@@ -113,6 +113,37 @@ def test_an_emergency_stop_is_reported_and_cleared_by_a_reset_only() -> None:
     run(case)
 
 
+@pytest.mark.parametrize("anew", [False, True])
+def test_what_is_queued_on_an_axis_in_an_error_is_emptied_after_the_reset(anew: bool) -> None:
+    """A limit switch as it is told to start: the unit takes nothing in this error, and can be reached in spite of it."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 5000})
+        bench.unit.set_limit("1", "both")
+        with pytest.raises(DriverFault):
+            await bench.driver.started()
+        await bench.driver.disarm()
+        if anew:
+            await bench.driver.close()
+            await bench.driver.connect()
+            await bench.driver.configure()
+        assert {fault.code for fault in (await bench.driver.poll()).faults} == {"limit-error"}
+        bench.unit.set_limit("1", "none")
+        await bench.driver.clear_faults()
+        for _ in range(2):
+            assert not (await bench.driver.poll()).faults
+        bench.wire.links[-1].write(b"G:1\r\n")
+        await sleep_ns(bench.clock, 500 * NS_PER_MS)
+        assert not bench.unit.moving("1") and not any(each.end_counts for each in bench.unit.motions)
+        await bench.driver.poll()
+        await bench.start({"x": 1234})
+        await bench.driver.started()
+        assert (await bench.driver.outcome()).state == "done"
+
+    run(case)
+
+
 @pytest.mark.parametrize("when", ["idle", "armed", "released", "moving"])
 def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
     async def case(bench: Bench) -> None:
