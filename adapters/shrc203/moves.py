@@ -160,8 +160,7 @@ class Mover:
         if self._output is not None:
             await self._output.end()
         await self._standby.end()
-        self._unit.untidy = False
-        await self._unit.make_harmless()
+        self._unit.untidy = not await self._unit.buffers.make_harmless(self._unit.excited)
 
     def forget(self) -> None:
         """The unit has lost what it was loaded with, or the connection ends."""
