@@ -21,11 +21,13 @@ SEEN_MOVING_NS = 150 * NS_PER_MS  # an axis that a poll finds at rest so long af
 
 @dataclass(slots=True)
 class _Jog:
-    """One axis that is moved by hand. velocity: unit/s; ordered_ns: when the controller had taken the order."""
+    """One axis that is moved by hand. velocity, wanted: unit/s, of the last order that the controller has taken, and of
+    the last that it was given; ordered_ns: when it had taken one."""
 
     holder: str
-    velocity: float
     until_ns: int
+    velocity: float = 0.0
+    wanted: float = 0.0
     ordered_ns: int | None = None
 
 
@@ -77,11 +79,13 @@ class Jogging:
                     raise CannotDo(
                         "not-jogging", f"axis {axis}: {self._ended.get(axis, 'it does not jog')}", "press the key again"
                     )
-                jog = self._jogs[axis] = _Jog(request.holder, 0.0, until_ns)
+                jog = self._jogs[axis] = _Jog(request.holder, until_ns)
                 self._condition.jogging.add(axis)
                 self._spawn(self._keep_time(axis, jog))
             jog.until_ns = until_ns
-            if velocity != jog.velocity:
+            # An order may take longer than it is good for: it is renewed while it is still on its way.
+            if velocity != jog.wanted:
+                jog.wanted = velocity
                 await self._order(axis, jog, velocity)
 
     async def _order(self, axis: str, jog: _Jog, velocity: float) -> None:
@@ -91,6 +95,7 @@ class Jogging:
                     await self._driver.jog(axis, self._move(axis, velocity))
                     jog.velocity, jog.ordered_ns = velocity, self._clock.now_ns()
             except BaseException as error:
+                jog.wanted = jog.velocity
                 if jog.velocity == 0:
                     self._forget(axis, jog, "it could not begin")
                     if not isinstance(error, CannotDo):

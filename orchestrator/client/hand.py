@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 VALID_MS = 200  # what a jog is good for, at most
 ANSWER_S = 0.5  # an answer that takes longer is of no use: the axis has stopped by itself long before
+ORDER_S = 2.0  # for an order: of a slow line it may take more than half a second
+RENEW_S = 0.06  # between renewals of an order that is still on its way
 RENEWALS = 3  # in a lease's life
 
 _NOT_OURS = ("not-leased", "leased")
@@ -98,12 +100,24 @@ class Hand:
     async def jog(self, velocities: Mapping[str, float], valid_ms: int = VALID_MS) -> None:
         """Move each `controller.axis` at a velocity (its unit/s, user's direction) for `valid_ms`; 0 stops it.
 
-        At most 200 ms, unless it is renewed. Returns when all controllers have taken it; one that refuses stops the
-        others. Raises `Refused`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`, `not-enabled`, and what else
-        the adapter has against it.
+        At most 200 ms, unless it is renewed. Returns when all controllers have taken it, and renews it until then; one
+        that refuses stops the others. Raises `Refused`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
+        `not-enabled`, and what else the adapter has against it.
         """
         self._velocities.update(velocities)
-        await self._ask_all(velocities, renew=False, valid_ms=valid_ms)
+        asking = asyncio.get_running_loop().create_task(self._ask_all(velocities, renew=False, valid_ms=valid_ms))
+        renewing: list[asyncio.Task[None]] = []
+        try:
+            while not (await asyncio.wait([asking], timeout=RENEW_S))[0]:
+                # Not what was stopped or asked for anew meanwhile. What is wrong with it the order itself is told.
+                moving = {axis: v for axis, v in velocities.items() if v and self._velocities.get(axis) == v}
+                renewing += self._asked(moving, renew=True, valid_ms=valid_ms)
+            asking.result()
+        finally:
+            asking.cancel()
+            for task in renewing:
+                task.cancel()
+                task.add_done_callback(lambda done: done.cancelled() or done.exception())
 
     async def renew(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
         """Go on for `valid_ms` from now with all that moves, at the velocities asked for last, or at new ones (unit/s).
@@ -161,4 +175,5 @@ class Hand:
             renew=renew,
             valid_ms=valid_ms,
         )
-        await self._tutti.command(controller, "jog", request, Reply, ANSWER_S)
+        ordered = any(velocities.values()) and not renew
+        await self._tutti.command(controller, "jog", request, Reply, ORDER_S if ordered else ANSWER_S)

@@ -1,4 +1,4 @@
-"""A jog whose order is disturbed on its way to the controller, which may have taken it all the same, is stopped."""
+"""Orders to jog that take long on their way to the controller, or are disturbed there."""
 
 import asyncio
 from contextlib import suppress
@@ -17,6 +17,31 @@ DEAF_NS = 400 * NS_PER_MS
 
 # By what happens to the line, until which the axis rests again: a closed one is opened and used for the stop first.
 RESTS_NS = {"closed": 1500 * NS_PER_MS, "deaf": DEAF_NS + 2500 * NS_PER_MS}
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_the_first_press_moves_an_axis_of_every_make(make: str) -> None:
+    """Some need longer to be told than an order is good for."""
+    fleet = fleet_of(3, [make])
+    name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
+    axis = f"{name}.{next(iter(config.axes))}"
+    speed = fleet.axis(axis).limits.velocity * 0.05
+
+    async def main(virtual: VirtualFleet) -> None:
+        every = list(fleet.controllers)
+        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        unit, motor = virtual.controllers[name], fleet.axis(axis).motors[0]
+        async with virtual.client().by_hand([axis]) as hand:
+            await hand.jog({axis: speed})
+            for _ in range(15):
+                await hand.renew()
+                await asyncio.sleep(0.06)
+            assert unit.moving(motor)
+            await hand.stop()
+        await asyncio.sleep(1.5)
+        assert not unit.moving(motor)
+
+    run_fleet(main, fleet)
 
 
 @pytest.mark.parametrize("how", RESTS_NS)

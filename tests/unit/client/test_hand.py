@@ -28,6 +28,7 @@ class Stage:
         self.returned: list[GiveBack] = []
         self.jogs: list[tuple[str, JogRequest]] = []
         self.refuse: dict[str, str] = {}
+        self.order_s = 0.0
         self._ids = 0
 
     async def start(self) -> Tutti:
@@ -60,7 +61,10 @@ class Stage:
 
     def _jog(self, name: str) -> Callable[[Sample], Coroutine[Any, Any, bytes]]:
         async def answer(sample: Sample) -> bytes:
-            self.jogs.append((name, JogRequest.model_validate_json(sample.payload)))
+            request = JogRequest.model_validate_json(sample.payload)
+            self.jogs.append((name, request))
+            if not request.renew and any(request.velocities.values()):
+                await asyncio.sleep(self.order_s)
             return Reply(refused=self._refusal(name)).to_json()
 
         return answer
@@ -103,6 +107,45 @@ def test_it_is_given_back_although_the_user_fails() -> None:
                 raise ValueError("mistake")
         assert [request.velocities for request in stage.of("gantry")] == [{"x": 5.0}, {"x": 0.0}]
         assert len(stage.returned) == 1
+
+    on_stage(test)
+
+
+def test_an_order_that_takes_long_is_renewed_meanwhile() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        stage.order_s = 0.5
+        async with hand_of(tutti) as hand:
+            await hand.jog({"gantry.x": 5.0, "stage.u": 0.0})
+        order, *renewals, stop = stage.of("gantry")
+        assert not order.renew and len(renewals) == 8
+        assert all(each.renew and each.velocities == {"x": 5.0} for each in renewals)
+        assert [each.velocities for each in (order, stop)] == [{"x": 5.0}, {"x": 0.0}]
+        assert [each.velocities for each in stage.of("stage")] == [{"u": 0.0}] * 2
+
+    on_stage(test)
+
+
+@pytest.mark.parametrize("then", ["stopped", "cancelled", "another"])
+def test_an_order_that_is_not_wanted_any_more_is_not_renewed(then: str) -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        stage.order_s = 0.5
+        async with hand_of(tutti) as hand:
+            ordering = asyncio.get_running_loop().create_task(hand.jog({"gantry.x": 5.0}))
+            await asyncio.sleep(0.1)
+            if then == "stopped":
+                await hand.stop()
+            elif then == "cancelled":
+                ordering.cancel()
+            else:
+                await hand.jog({"gantry.x": -5.0})
+            await asyncio.sleep(1.0)
+            told = [(each.renew, each.velocities["x"]) for each in stage.of("gantry")]
+            assert told[:2] == [(False, 5.0), (True, 5.0)]
+            if then == "another":
+                assert told[2:] == [(False, -5.0), *[(True, -5.0)] * 8]
+            else:
+                assert told[2:] == ([(False, 0.0)] if then == "stopped" else [])
+            await asyncio.gather(ordering, return_exceptions=True)
 
     on_stage(test)
 
