@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
 from contextvars import Context
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from random import Random
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.campaign_faults import FAULTS, Breaker
 from orchestrator.lab.campaign_fleets import WITH_PERMIT, fleet_of
-from orchestrator.lab.campaign_jobs import PACE, orders_of, preparation, trial
+from orchestrator.lab.campaign_jobs import MOST_S, PACE, orders_of, preparation, trial
 from orchestrator.lab.campaign_judge import Act, Jog, Judge
 from orchestrator.lab.campaign_witness import STAGES, Asked, Stage, Witness
 from orchestrator.lab.virtual import VirtualFleet
@@ -36,6 +36,12 @@ LOOK_NS = 200 * NS_PER_MS
 RESTS = 150  # looks at who rests, 7 ms apart
 HOMES_SHARE = 0.4  # of what homing is expected to take: within it nearly all of them still look
 HANDS = 0.3  # chance of somebody who jogs meanwhile
+RENEWED_NS = 60 * NS_PER_MS
+RENEWALS = 8  # of a jog, and of one that is to be broken
+RENEWALS_OF_STAGE = 32
+_JOG_NS = 600 * NS_PER_MS  # from its beginning to what breaks it, at the most
+
+ALONE: tuple[Stage, ...] = ("jog", "home")  # what befalls the fleet befalls one member of it in what it does by itself
 
 # When, after its first request to the member, a stage is to be broken: earliest and latest.
 _WITHIN: dict[str, tuple[int, int]] = {
@@ -114,6 +120,7 @@ class _Play:
         self._target: tuple[Act, Cell, asyncio.Future[tuple[str, int]]] | None = None
         self._reached: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
         self._epochs: dict[str, int] = {}
+        self._jogging = False
         self.witness = Witness(clock, self._heard)
         self.virtual = VirtualFleet(story.fleet, clock, story.seed, beside=self.witness.beside)
         self.judge = Judge(self.virtual, self.witness)
@@ -160,12 +167,18 @@ class _Play:
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
         keys: dict[str, str] = {}
+        by_hand: asyncio.Task[None] | None = None
+        if cell.stage == "jog":
+            by_hand = asyncio.get_running_loop().create_task(self._jog(act, member, RENEWALS_OF_STAGE, reached))
+            while not self._jogging and not by_hand.done():
+                await sleep_ns(self._clock, NS_PER_MS)
         for order in orders_of(fleet, member, cell.stage == "home", self._where(), self._draw):
             keys[order.job.name] = key = self.virtual.new_id()
             act.jobs[await client.submit(order.job, key, order.terms)] = order
             self._tell(f"{order.job.name} of {', '.join(order.controllers)}")
         self._story.jobs += len(act.jobs)
-        by_hand = asyncio.get_running_loop().create_task(self._jog(act)) if self._draw.random() < HANDS else None
+        if by_hand is None and self._draw.random() < HANDS:
+            by_hand = asyncio.get_running_loop().create_task(self._jog_free(act))
         step = await self._wait_for(reached, act)
         self._target = None
         if step is not None:
@@ -199,13 +212,13 @@ class _Play:
         return reached.result() if reached.done() else None
 
     async def _break(self, act: Act, cell: Cell, step: tuple[str, int]) -> None:
-        stage = self._stage_of(step, act.member)
+        stage = self._stage_of(step, act.member) if cell.stage != "jog" else "jog" if self._jogging else None
         if stage is None:
             self._tell(f"too late for {cell.fault}")
             return
         now_ns = act.broken_ns = self._clock.now_ns()
         hit = cell._replace(stage=stage)
-        all_of_step = act.fault.reach == "fleet" and stage != "home"
+        all_of_step = act.fault.reach == "fleet" and stage not in ALONE
         together = act.jobs[step[0]].controllers if all_of_step else [act.member]
         makes = dict.fromkeys(self._story.fleet.controllers[name].adapter for name in together)
         self._story.hit.append(hit)
@@ -302,24 +315,36 @@ class _Play:
         if again != job_id:
             self.judge.violate("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
 
-    async def _jog(self, act: Act) -> None:
-        """Jog an axis that no job needs for a while, and forget to say that it is enough."""
+    async def _jog_free(self, act: Act) -> None:
+        """Jog an axis that no job needs for a while."""
         busy = {name for order in act.jobs.values() for name in order.controllers}
         free = [name for name in self._story.fleet.controllers if name not in busy] or [act.member]
-        name = self._draw.choice(free)
+        await self._jog(act, self._draw.choice(free), RENEWALS)
+
+    async def _jog(
+        self, act: Act, name: str, renewals: int, reached: "asyncio.Future[tuple[str, int]] | None" = None
+    ) -> None:
+        """Jog an axis, and forget to say that it is enough. reached: when it is to be broken."""
         axis_name, axis = next(iter(self._story.fleet.controllers[name].axes.items()))
+        label = f"{name}.{axis_name}"
+        way = -1 if self._where()[label] > axis.limits.velocity * PACE * MOST_S / 2 else 1
         person = self.virtual.client("hand")
         with suppress(Refused):
-            async with person.by_hand([f"{name}.{axis_name}"]) as hand:
-                jog = Jog(name, axis.motors[0], self._clock.now_ns(), self._clock.now_ns())
-                act.jogs.append(jog)
-                await hand.jog({f"{name}.{axis_name}": axis.limits.velocity * PACE / 2})
-                for _ in range(4):
-                    await sleep_ns(self._clock, 120 * NS_PER_MS)
-                    act.jogs[-1] = Jog(name, jog.motor, jog.from_ns, self._clock.now_ns())
-                    await hand.renew()
-                act.jogs[-1] = Jog(name, jog.motor, jog.from_ns, self._clock.now_ns())
-                await sleep_ns(self._clock, NS_PER_S)
+            async with person.by_hand([label]) as hand:
+                begun_ns = self._clock.now_ns()
+                act.jogs.append(Jog(name, axis.motors[0], begun_ns, begun_ns))
+                await hand.jog({label: way * axis.limits.velocity * PACE / 2})
+                if reached is not None:
+                    self._jogging = True
+                    at_ns = self._clock.now_ns() + self._draw.randrange(_JOG_NS)
+                    self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), Context())
+                with suppress(Refused):
+                    for _ in range(renewals):
+                        await sleep_ns(self._clock, RENEWED_NS)
+                        act.jogs[-1] = replace(act.jogs[-1], renewed_ns=self._clock.now_ns())
+                        await hand.renew()
+                    await sleep_ns(self._clock, NS_PER_S)
+                self._jogging = False
         await person.close()
 
     # Stages

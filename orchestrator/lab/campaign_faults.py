@@ -28,6 +28,7 @@ class Fault:
     go on, and stops within the time of a detection; latent: nobody can notice before the member is told to go, or
     moves. harmless: all jobs are done in spite of it. deaf: who is touched can not be stopped by anybody meanwhile.
     beyond: what is measured of those touched is outside the model of wire and crystal, so their evidence may be wrong.
+    hands_on: who is jogged may go on, as long as somebody renews it.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Fault:
     harmless: bool = False
     deaf: bool = False
     beyond: bool = False
+    hands_on: bool = False
 
 
 FAULTS: dict[str, Fault] = {
@@ -57,14 +59,14 @@ FAULTS: dict[str, Fault] = {
         Fault("limit", "unit", latent=True),
         Fault("stall", "unit", must_stop=False),
         Fault("crystal", "unit", must_stop=False, beyond=True),
-        Fault("bus-cut", "host"),
+        Fault("bus-cut", "host", hands_on=True),
         Fault("bus-loss", "host", must_stop=False),
         Fault("stop", "fleet"),
         Fault("estop", "fleet"),
         Fault("permit-lost", "fleet"),
-        Fault("coordinator-killed", "fleet"),
-        Fault("coordinator-hung", "fleet"),
-        Fault("coordinator-overtaken", "fleet"),
+        Fault("coordinator-killed", "fleet", hands_on=True),
+        Fault("coordinator-hung", "fleet", hands_on=True),
+        Fault("coordinator-overtaken", "fleet", hands_on=True),
         Fault("journal-full", "fleet", must_stop=False),
         Fault("wall-clock", "fleet", must_stop=False, harmless=True),
     )

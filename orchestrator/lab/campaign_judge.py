@@ -287,6 +287,10 @@ class Judge:
         if jog is not None and jog.from_ns <= motion.start_ns <= jog.renewed_ns + BY_HAND_NS:
             if motion.end_ns > jog.renewed_ns + BY_HAND_NS + ramp_ns and name not in act.deaf:
                 self.violate("3", f"{label} moved {_s(motion.end_ns - jog.renewed_ns)} after the last word of a hand")
+            before = act.broken_ns is not None and motion.start_ns < act.broken_ns
+            stops = name in act.touched and (act.fault.reach != "power" or name == act.member)
+            if before and stops and not act.fault.hands_on and name not in act.deaf:
+                self._judge_brake(act, label, motion, ramp_ns)
             return
         if step is None:
             self.violate("1/2", f"{label} moved at {_s(motion.start_ns)}, and nothing was decided")
@@ -315,6 +319,13 @@ class Judge:
             return
         if step.t0_ns is None and act.fault.name == "limit" and not first:
             return  # others of the unit go on looking for theirs
+        self._judge_brake(act, label, motion, ramp_ns)
+
+    def _judge_brake(self, act: Act, label: str, motion: Motion, ramp_ns: int) -> None:
+        """Whether what a fault touches stops in time."""
+        broken_ns, end_ns = act.broken_ns, motion.end_ns
+        if broken_ns is None or end_ns is None or not act.fault.must_stop:
+            return
         since_ns = max(broken_ns, motion.start_ns) if act.fault.latent else broken_ns
         allowed_ns = ASKED_NS if act.fault.name in ("stop", "estop") else DETECTION_NS
         # Slowing is what has to begin in time; how long it may take each member has declared.

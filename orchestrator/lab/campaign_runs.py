@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import product
 
-from orchestrator.lab.campaign import Cell, Story, play
+from orchestrator.lab.campaign import ALONE, Cell, Story, play
 from orchestrator.lab.campaign_faults import FAULTS
 from orchestrator.lab.campaign_fleets import MAKES
 from orchestrator.lab.campaign_witness import STAGES
@@ -16,7 +16,7 @@ CELLS = [Cell(stage, fault, make) for fault in FAULTS for make in MAKES for stag
 
 def _round() -> list[Cell]:
     """Every cell three times; those of a fault that befalls the whole fleet twice, because it counts for all makes that
-    take part in its step. (One looks for its reference alone.)
+    take part in its step. (One is jogged, or looks for its reference, alone.)
 
     The first len(STAGES) * len(FAULTS) are all pairs of stage and fault.
     """
@@ -25,7 +25,7 @@ def _round() -> list[Cell]:
         for number, (name, fault) in enumerate(FAULTS.items()):
             for place, stage in enumerate(STAGES):
                 make = MAKES[(turn + number + place) % len(MAKES)]
-                if fault.reach != "fleet" or stage == "home" or (lap + turn) % 3:
+                if fault.reach != "fleet" or stage in ALONE or (lap + turn) % 3:
                     cells.append(Cell(stage, name, make))
     return cells
 

@@ -9,8 +9,8 @@ from orchestrator.bus.base import Declared, Handler, Priority, Sample
 from orchestrator.bus.memory import MemoryBus
 from orchestrator.clock.base import Clock
 
-Stage = Literal["home", "propose", "arm", "commit", "go", "fire", "motion"]
-STAGES: tuple[Stage, ...] = ("home", "propose", "arm", "commit", "go", "fire", "motion")
+Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion"]
+STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion")
 
 _SEEN = ("lease", "home", "propose", "arm", "commit", "go")
 
