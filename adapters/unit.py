@@ -153,12 +153,15 @@ class Unit:
             pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
     async def _reach(self) -> None:
-        """Meet the controller. An owed stop is paid before, and owed again where nobody answers behind it."""
+        """Meet the controller. An owed stop is written before, and again to who has answered."""
         owed, self._stop_owed = self._stop_owed, False
         try:
             if owed:
                 await self._pay_owed_stop()
             self._condition.identity = await self._driver.connect()
+            if owed:
+                # Written before, it was quick; but the line may have come back only after it.
+                await self._driver.stop(False)
         except BaseException:
             self._stop_owed = self._stop_owed or owed
             raise

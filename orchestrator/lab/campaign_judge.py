@@ -284,7 +284,9 @@ class Judge:
             if not low - 1 <= motion.end_counts <= high + 1:
                 self.violate("5", f"{label} went to {motion.end_counts}; limits {low} to {high}")
         jog = next((each for each in act.jogs if (each.controller, each.motor) == (name, motion.axis)), None)
-        if jog is not None and jog.from_ns <= motion.start_ns <= jog.renewed_ns + BY_HAND_NS:
+        # A new reign has given it to a job at once.
+        by_job = jog is not None and step is not None and step.from_ns > jog.from_ns
+        if jog is not None and not by_job and jog.from_ns <= motion.start_ns <= jog.renewed_ns + BY_HAND_NS:
             if motion.end_ns > jog.renewed_ns + BY_HAND_NS + ramp_ns and name not in act.deaf:
                 self.violate("3", f"{label} moved {_s(motion.end_ns - jog.renewed_ns)} after the last word of a hand")
             before = act.broken_ns is not None and motion.start_ns < act.broken_ns

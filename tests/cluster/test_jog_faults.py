@@ -86,3 +86,32 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
             assert (await outcome(virtual, preparation([name], [name]))).state == "done"
 
     run_fleet(main, fleet)
+
+
+@pytest.mark.parametrize("deaf_s", [0.6, 1.1, 1.6, 2.0])
+@pytest.mark.parametrize("make", MAKES)
+def test_who_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(make: str, deaf_s: float) -> None:
+    """The line comes back behind the stop that was owed, while the unit is being met."""
+    fleet = fleet_of(3, [make])
+    name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
+    axis = f"{name}.{next(iter(config.axes))}"
+    speed = fleet.axis(axis).limits.velocity * 0.05
+
+    async def main(virtual: VirtualFleet) -> None:
+        every = list(fleet.controllers)
+        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        unit, wire = virtual.controllers[name], virtual.wires[name]
+        before = len(unit.motions)
+        with suppress(Refused):
+            async with virtual.client().by_hand([axis]) as hand:
+                await hand.jog({axis: speed})
+                await hand.renew()
+                wire.cut = True
+                await asyncio.sleep(deaf_s)
+                wire.cut = False
+        back_ns = virtual.clock.now_ns()
+        await asyncio.sleep(2.5)
+        ends = [motion.end_ns for motion in unit.motions[before:]]
+        assert ends and all(end_ns is not None and end_ns < back_ns + 2 * NS_PER_S for end_ns in ends), ends
+
+    run_fleet(main, fleet)

@@ -165,6 +165,10 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
             told.append("stop")
             return True
 
+        async def stop(self, abort: bool) -> None:
+            assert not abort
+            told.append("stop again")
+
         async def connect(self) -> None:
             told.append("connect")
             if told.count("connect") < 3:
@@ -191,4 +195,4 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
             assert not unit._stop_owed
 
     run_virtual(main)
-    assert told == [*["stop", "connect"] * 3, "stopped", "connect"]
+    assert told == [*["stop", "connect"] * 3, "stop again", "stopped", "connect"]
