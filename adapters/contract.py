@@ -234,7 +234,11 @@ class Driver(ABC):
 
     @abstractmethod
     async def poll(self) -> Reading:
-        """Read the state of all axes, inputs and outputs, as cheaply as the make allows; feeds the clock estimate."""
+        """Read the state of all axes, inputs and outputs, as cheaply as the make allows; feeds the clock estimate.
+
+        Raises `LinkClosed` when the controller was restarted and much is to be loaded again: others have to hear of it
+        before. It is met anew then, and the first reading says `restarted`.
+        """
 
     def mapping(self) -> TickMapping | None:
         """The present clock estimate; None for a make without a readable clock."""

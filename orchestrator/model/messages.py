@@ -257,8 +257,8 @@ class ConfigureRequest(Fenced):
 class JogRequest(Request):
     """Move axes at a velocity (unit/s, user's direction) for `valid_ms`; 0 stops the axis. From the lease's holder.
 
-    seq: grows with each request of a holder; an older one that comes late is refused. renew: go on with what moves;
-    an axis that has been stopped meanwhile stays stopped.
+    seq: grows with each request of a holder; an older one that comes late is refused. renew: go on with what moves,
+    or is still told to; an axis that has been stopped meanwhile stays stopped.
     """
 
     holder: str

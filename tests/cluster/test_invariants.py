@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from adapters.jogging import Jogging
 from adapters.member import Member
 from adapters.referencing import Referencing
 from adapters.shrc203.driver import ShrcDriver
@@ -84,6 +85,11 @@ def searches_on(patch: Patch) -> None:
     patch.setattr(Unit, "stop", deaf)
 
 
+def jogs_on(patch: Patch) -> None:
+    """Although nobody renews it."""
+    patch.setattr(Jogging, "_keep_time", nothing_async)
+
+
 def lets_anybody_end_a_job(patch: Patch) -> None:
     """Coordinators that are overtaken, too."""
     patch.setattr(Journal, "require_reign", nothing)
@@ -145,6 +151,7 @@ MUTATIONS = (
     Mutation("4", hears_no_estop, Cell("motion", "estop", "ppsmc")),
     Mutation("5", plans_beyond_the_limits, Cell("motion", "none", "smc4000")),
     Mutation("3", searches_on, Cell("home", "stop", "smc2000")),
+    Mutation("3", jogs_on, Cell("jog", "none", "smc4000")),
     Mutation("5", believes_in_old_references, Cell("motion", "power-cycle", "smc30")),
     Mutation("6", lets_anybody_end_a_job, Cell("arm", "coordinator-overtaken", "shrc203")),
     Mutation("7", stops_everybody, Cell("motion", "limit", "cia402")),
