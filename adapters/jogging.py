@@ -178,6 +178,8 @@ class Jogging:
             now = reading.axes[axis]
             if not now.enabled:
                 self._forget(axis, jog, "its motor has switched off")
+            elif jog.wanted != jog.velocity:
+                pass  # it may have to rest for another speed
             elif jog.ordered_ns is not None and not now.moving and reading.at_ns > jog.ordered_ns + SEEN_MOVING_NS:
                 on_switch = now.limit != "none"
                 self._forget(axis, jog, "it is on its limit switch" if on_switch else "it is at its soft limit")

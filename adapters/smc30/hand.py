@@ -62,6 +62,8 @@ class Hand:
         self.run: Run | None = None
         self.began_ns = 0
         """When the motion of `run` began, about."""
+        self.told_ns: int | None = None
+        """When the unit had taken the order to begin it; None before."""
 
     # Jogging
 
@@ -91,8 +93,9 @@ class Hand:
             wanted = _lowered(self._name, move, bounds(self._axis), await unit.ready(), since)
             await unit.load(wanted.program, since)
             self._require_free()
-            self.run, self._wanted = wanted, move
+            self.run, self._wanted, self.told_ns = wanted, move, None
             answer = await unit.run(since, "jog")
+            self.told_ns = answer.at_ns
             self.began_ns = answer.at_ns + len(wanted.program) * self._options.line_us * NS_PER_US
             unit.limit = "none"
 

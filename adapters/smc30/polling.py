@@ -9,7 +9,7 @@ from adapters.smc30.hand import Hand
 from adapters.smc30.mover import Move, Mover
 from adapters.smc30.ramp import Ramp, Shape
 from adapters.smc30.session import Busy
-from adapters.smc30.unitstate import UnitState
+from adapters.smc30.unitstate import Status, UnitState
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
@@ -43,7 +43,7 @@ class Poller:
                 now = await unit.status()
         if not now.busy:
             self._mover.seen_ready(now.sent_ns)
-            self._settled()
+            self._settled(now)
             counts, velocity, moving = unit.rest_counts, 0.0, False
         else:
             counts, velocity, moving = await self._in_motion(now.at_ns)
@@ -69,10 +69,10 @@ class Poller:
         if not await unit.holds_sentinel():
             raise LinkClosed("the controller was restarted; it is connected again from the beginning")
 
-    def _settled(self) -> None:
-        """At rest: a jog that was on its way has ended."""
-        unit, run = self._unit, self._hand.run
-        if unit.doing == "jog":
+    def _settled(self, now: Status) -> None:
+        """At rest: a jog that had been told to begin before that was asked has ended."""
+        unit, run, told_ns = self._unit, self._hand.run, self._hand.told_ns
+        if unit.doing == "jog" and told_ns is not None and now.sent_ns > told_ns:
             unit.doing = "nothing"
             if run is not None and unit.session.stops == run.stops and unit.rest_counts != run.end:
                 unit.limit = "forward" if run.sign > 0 else "reverse"

@@ -105,42 +105,49 @@ class Hand:
         `not-enabled`, and what else the adapter has against it.
         """
         self._velocities.update(velocities)
-        asking = asyncio.get_running_loop().create_task(self._ask_all(velocities, renew=False, valid_ms=valid_ms))
-        renewing: list[asyncio.Task[None]] = []
-        try:
-            while not (await asyncio.wait([asking], timeout=RENEW_S))[0]:
-                # Not what was stopped or asked for anew meanwhile. What is wrong with it the order itself is told.
-                moving = {axis: v for axis, v in velocities.items() if v and self._velocities.get(axis) == v}
-                renewing += self._asked(moving, renew=True, valid_ms=valid_ms)
-            asking.result()
-        finally:
-            asking.cancel()
-            for task in renewing:
-                task.cancel()
-                task.add_done_callback(lambda done: done.cancelled() or done.exception())
+        await self._told(velocities, renew=False, valid_ms=valid_ms, timeout_s=ORDER_S)
 
     async def renew(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
         """Go on for `valid_ms` from now with all that moves, at the velocities asked for last, or at new ones (unit/s).
 
         Raises `Refused`: code `not-jogging` for an axis that somebody has stopped meanwhile, or that fell silent.
         """
+        anew = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
-        await self._ask_all(moving, renew=True, valid_ms=valid_ms)
+        await self._told(moving, renew=True, valid_ms=valid_ms, timeout_s=ORDER_S if anew else ANSWER_S)
 
     async def stop(self) -> None:
         """Stop by their ramps all axes that it has set in motion. Raises `Refused` if a controller does not answer."""
         begun = dict.fromkeys(self._velocities, 0.0)
         self._velocities.clear()
-        for error in await asyncio.gather(*self._asked(begun, renew=False, valid_ms=VALID_MS), return_exceptions=True):
+        for error in await asyncio.gather(
+            *self._asked(begun, renew=False, valid_ms=VALID_MS, timeout_s=ANSWER_S), return_exceptions=True
+        ):
             # What a holder moves is stopped when its lease ends: there is nothing left to stop.
             if error is not None and not (isinstance(error, Refused) and error.refusal.code in _NOT_OURS):
                 raise error
 
-    async def _ask_all(self, velocities: Mapping[str, float], renew: bool, valid_ms: int) -> None:
+    async def _told(self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float) -> None:
+        """Tell controllers, and renew it until they have answered: an order may take longer than it is good for."""
+        telling = asyncio.get_running_loop().create_task(self._ask_all(velocities, renew, valid_ms, timeout_s))
+        renewing: list[asyncio.Task[None]] = []
+        try:
+            while not (await asyncio.wait([telling], timeout=RENEW_S))[0]:
+                # Not what was stopped or asked for anew meanwhile. What is wrong with it the order itself is told.
+                moving = {axis: v for axis, v in velocities.items() if v and self._velocities.get(axis) == v}
+                renewing += self._asked(moving, renew=True, valid_ms=valid_ms, timeout_s=ANSWER_S)
+            telling.result()
+        finally:
+            telling.cancel()
+            for task in renewing:
+                task.cancel()
+                task.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    async def _ask_all(self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float) -> None:
         if self.lost is not None:
             raise Refused(self.lost)
-        asked = self._asked(velocities, renew, valid_ms)
+        asked = self._asked(velocities, renew, valid_ms, timeout_s)
         refused = [error for error in await asyncio.gather(*asked, return_exceptions=True) if error is not None]
         if not refused:
             return
@@ -153,27 +160,28 @@ class Hand:
                 self.lost = self.lost or error.refusal
         raise refused[0]
 
-    def _asked(self, velocities: Mapping[str, float], renew: bool, valid_ms: int) -> "list[asyncio.Task[None]]":
+    def _asked(
+        self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float
+    ) -> "list[asyncio.Task[None]]":
         """One request a controller, all on their way. Numbered here: an older one that comes late is refused."""
         self._seq += 1
-        loop = asyncio.get_running_loop()
         return [
-            loop.create_task(
+            asyncio.get_running_loop().create_task(
                 self._ask(
-                    controller, {name: velocities[f"{controller}.{name}"] for name in names}, self._seq, renew, valid_ms
+                    controller,
+                    JogRequest(
+                        **self._tutti.fields(),
+                        holder=self.holder,
+                        seq=self._seq,
+                        velocities={name: velocities[f"{controller}.{name}"] for name in names},
+                        renew=renew,
+                        valid_ms=valid_ms,
+                    ),
+                    timeout_s,
                 )
             )
             for controller, names in by_controller(velocities).items()
         ]
 
-    async def _ask(self, controller: str, velocities: dict[str, float], seq: int, renew: bool, valid_ms: int) -> None:
-        request = JogRequest(
-            **self._tutti.fields(),
-            holder=self.holder,
-            seq=seq,
-            velocities=velocities,
-            renew=renew,
-            valid_ms=valid_ms,
-        )
-        ordered = any(velocities.values()) and not renew
-        await self._tutti.command(controller, "jog", request, Reply, ORDER_S if ordered else ANSWER_S)
+    async def _ask(self, controller: str, request: JogRequest, timeout_s: float) -> None:
+        await self._tutti.command(controller, "jog", request, Reply, timeout_s)

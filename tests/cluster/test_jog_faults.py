@@ -20,7 +20,7 @@ RESTS_NS = {"closed": 1500 * NS_PER_MS, "deaf": DEAF_NS + 2500 * NS_PER_MS}
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_the_first_press_moves_an_axis_of_every_make(make: str) -> None:
+def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(make: str) -> None:
     """Some need longer to be told than an order is good for."""
     fleet = fleet_of(3, [make])
     name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
@@ -35,6 +35,10 @@ def test_the_first_press_moves_an_axis_of_every_make(make: str) -> None:
             await hand.jog({axis: speed})
             for _ in range(15):
                 await hand.renew()
+                await asyncio.sleep(0.06)
+            assert unit.moving(motor)
+            for _ in range(15):
+                await hand.renew({axis: speed / 2})
                 await asyncio.sleep(0.06)
             assert unit.moving(motor)
             await hand.stop()

@@ -29,6 +29,7 @@ class Stage:
         self.jogs: list[tuple[str, JogRequest]] = []
         self.refuse: dict[str, str] = {}
         self.order_s = 0.0
+        self.ordered: dict[str, dict[str, float]] = {}
         self._ids = 0
 
     async def start(self) -> Tutti:
@@ -63,7 +64,8 @@ class Stage:
         async def answer(sample: Sample) -> bytes:
             request = JogRequest.model_validate_json(sample.payload)
             self.jogs.append((name, request))
-            if not request.renew and any(request.velocities.values()):
+            before, self.ordered[name] = self.ordered.get(name), request.velocities
+            if before != request.velocities and any(request.velocities.values()):
                 await asyncio.sleep(self.order_s)
             return Reply(refused=self._refusal(name)).to_json()
 
@@ -121,6 +123,18 @@ def test_an_order_that_takes_long_is_renewed_meanwhile() -> None:
         assert all(each.renew and each.velocities == {"x": 5.0} for each in renewals)
         assert [each.velocities for each in (order, stop)] == [{"x": 5.0}, {"x": 0.0}]
         assert [each.velocities for each in stage.of("stage")] == [{"u": 0.0}] * 2
+
+    on_stage(test)
+
+
+def test_another_speed_that_takes_long_is_renewed_meanwhile() -> None:
+    async def test(stage: Stage, tutti: Tutti) -> None:
+        async with hand_of(tutti) as hand:
+            await hand.jog({"gantry.x": 5.0})
+            stage.order_s = 0.8
+            await hand.renew({"gantry.x": 2.0})
+            told = [(each.renew, each.velocities["x"]) for each in stage.of("gantry")]
+            assert told == [(False, 5.0), *[(True, 2.0)] * 14]
 
     on_stage(test)
 
