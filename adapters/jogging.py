@@ -70,23 +70,38 @@ class Jogging:
         """Begin, change, go on with or stop jogs. Raises `CannotDo`; then the axis named does not jog by this call."""
         await self.stop([axis for axis, velocity in request.velocities.items() if velocity == 0], "the key was let go")
         until_ns = self._clock.now_ns() + request.valid_ms * NS_PER_MS
-        for axis, velocity in request.velocities.items():
-            if velocity == 0:
-                continue
-            jog = self._jogs.get(axis)
-            if jog is None:
-                if request.renew:
-                    raise CannotDo(
-                        "not-jogging", f"axis {axis}: {self._ended.get(axis, 'it does not jog')}", "press the key again"
-                    )
-                jog = self._jogs[axis] = _Jog(request.holder, until_ns)
-                self._condition.jogging.add(axis)
-                self._spawn(self._keep_time(axis, jog))
-            jog.until_ns = until_ns
-            # An order may take longer than it is good for: it is renewed while it is still on its way.
-            if velocity != jog.wanted:
-                jog.wanted = velocity
-                await self._order(axis, jog, velocity)
+        moving = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
+        # All of them before the first order: it may take longer than it is good for, and is renewed on its way.
+        jogs: dict[str, _Jog] = {}
+        anew: list[str] = []
+        for axis, velocity in moving.items():
+            if axis not in self._jogs and not request.renew:
+                self._begin(axis, _Jog(request.holder, until_ns))
+            if axis in self._jogs:
+                jog = jogs[axis] = self._jogs[axis]
+                jog.until_ns = until_ns
+                if jog.wanted != velocity:
+                    jog.wanted = velocity
+                    anew.append(axis)
+        while anew:
+            axis = anew.pop(0)
+            try:
+                await self._order(axis, jogs[axis], moving[axis])
+            except BaseException:
+                for other in anew:
+                    jogs[other].wanted = jogs[other].velocity
+                    if jogs[other].velocity == 0:
+                        self._forget(other, jogs[other], "it could not begin")
+                raise
+        for axis in moving:
+            if axis not in jogs:
+                why = self._ended.get(axis, "it does not jog")
+                raise CannotDo("not-jogging", f"axis {axis}: {why}", "press the key again")
+
+    def _begin(self, axis: str, jog: _Jog) -> None:
+        self._jogs[axis] = jog
+        self._condition.jogging.add(axis)
+        self._spawn(self._keep_time(axis, jog))
 
     async def _order(self, axis: str, jog: _Jog, velocity: float) -> None:
         async with self._turn:

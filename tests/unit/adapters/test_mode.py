@@ -11,12 +11,12 @@ from typing import Any, cast
 import pytest
 
 from adapters.condition import STARTING, Condition
-from adapters.contract import AxisReading, Driver, DriverFault, Reading
+from adapters.contract import AxisReading, CannotDo, Driver, DriverFault, Reading
 from adapters.jogging import Jogging
 from adapters.presenter import Presenter
 from adapters.seat import Seat
 from adapters.unit import Unit
-from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import JogRequest
@@ -91,6 +91,66 @@ def test_who_jogged_rests_only_when_somebody_has_seen_it() -> None:
         assert presenter.mode() == "stopping"
         condition.reading = replace(condition.reading, at_ns=clock.now_ns())
         assert presenter.mode() == "idle"
+
+    run_virtual(main)
+
+
+TWO = CONFIG.model_copy(update={"axes": {"x": CONFIG.axes["x"], "y": CONFIG.axes["x"]}})
+
+
+class Slow:
+    """A driver that needs 0.15 s for each order. ordered: what it was told."""
+
+    capabilities = SimpleNamespace(costs=SimpleNamespace(stop_ns=NS_PER_S))
+
+    def __init__(self, clock: VirtualClock, refuses: str = "") -> None:
+        self.ordered: list[str] = []
+        self._clock = clock
+        self._refuses = refuses
+
+    async def jog(self, axis: str, _: object) -> None:
+        await sleep_ns(self._clock, 150 * NS_PER_MS)
+        self.ordered.append(axis)
+        if axis == self._refuses:
+            raise CannotDo("moving", "it moves", "")
+
+    async def stop_axes(self, axes: list[str]) -> None:
+        self.ordered += [f"stop {axis}" for axis in axes]
+
+
+@pytest.mark.parametrize(
+    ("renewed", "refuses", "told"),
+    [
+        (True, "", ["x", "y"]),
+        (False, "", ["stop x", "stop y", "x", "stop x", "stop y"]),
+        (True, "x", ["x"]),
+    ],
+)
+def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
+    renewed: bool, refuses: str, told: list[str]
+) -> None:
+    async def main(clock: VirtualClock) -> None:
+        at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
+        condition = Condition(TWO, faults=[], reading=Reading(clock.now_ns(), {"x": at_rest, "y": at_rest}))
+        condition.referenced = {"x": True, "y": True}
+        driver = Slow(clock, refuses)
+        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+
+        def request(seq: int, renew: bool) -> JogRequest:
+            velocities = {"x": 0.2, "y": 0.2}
+            return JogRequest(
+                request_id="r", actor="a", holder="h", seq=seq, velocities=velocities, renew=renew, valid_ms=100
+            )
+
+        order = asyncio.ensure_future(jogging.jog(request(1, renew=False)))
+        for seq in range(2, 7):
+            await sleep_ns(clock, 60 * NS_PER_MS)
+            if renewed and not order.done():
+                await jogging.jog(request(seq, renew=True))
+        (refused,) = await asyncio.gather(order, return_exceptions=True)
+        assert driver.ordered == told
+        assert isinstance(refused, CannotDo) == bool(refuses)
+        assert condition.jogging == (set[str]() if refuses or not renewed else {"x", "y"})
 
     run_virtual(main)
 
