@@ -196,8 +196,9 @@ class Jogging:
             elif jog.wanted != jog.velocity:
                 pass  # it may have to rest for another speed
             elif jog.ordered_ns is not None and not now.moving and reading.at_ns > jog.ordered_ns + SEEN_MOVING_NS:
-                on_switch = now.limit != "none"
-                self._forget(axis, jog, "it is on its limit switch" if on_switch else "it is at its soft limit")
+                # Told to stop all the same: on a bad line it may have been another one's answer that says so.
+                reason = "it is on its limit switch" if now.limit != "none" else "it is at its soft limit"
+                self._spawn(self.stop([axis], reason))
 
     def _is_to_rest(self, axes: Sequence[str]) -> None:
         """An order may have been on its way, and the stop may get lost: they rest only when somebody has seen it."""

@@ -128,6 +128,7 @@ class Hand:
         if not troubled() and attained():
             await self._to_reference(stops)
         if not troubled() and (node.demand == 0 or not self._returns):
+            node.moved_ns = 0  # it rests; what its position has done was the new origin
             found(self._name)
             return {}
         if node.stops != stops:

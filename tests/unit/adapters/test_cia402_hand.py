@@ -37,6 +37,26 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
     run(main, simulate=SWITCH, homing={"method": method, "speed": 8000})
 
 
+@pytest.mark.parametrize("inhibit_ms", [10, 20, 40, 100])
+@pytest.mark.parametrize("method", ["current_position", "23", "negative_limit"])
+def test_who_has_found_its_reference_rests(method: str, inhibit_ms: int) -> None:
+    """Its position is another one by then, which is no motion."""
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        here = (await world.driver.poll()).axes["a"].commanded_counts
+        await world.arm(0, here + 3000, world.clock.now_ns() + 200 * NS_PER_MS, begin=here)
+        await world.driver.go()
+        await world.driver.started()
+        assert (await world.driver.outcome()).state == "done"
+        assert await world.driver.home(["a"], lambda _: None) == {}
+        reading = (await world.driver.poll()).axes["a"]
+        assert not reading.moving and not world.unit.moving("1")
+        assert abs(reading.commanded_counts) <= 1 or method == "negative_limit"
+
+    run(main, simulate=SWITCH, options={"inhibit_ms": inhibit_ms}, homing={"method": method, "speed": 8000})
+
+
 def test_a_reference_that_is_not_there_is_said() -> None:
     async def main(world: Drives) -> None:
         await world.ready()

@@ -155,6 +155,26 @@ def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
     run_virtual(main)
 
 
+def test_who_is_said_to_have_come_to_rest_by_itself_is_told_to_all_the_same() -> None:
+    """On a bad line it may have been another one's answer that said so."""
+
+    async def main(clock: VirtualClock) -> None:
+        at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
+        condition = Condition(CONFIG, faults=[], reading=Reading(clock.now_ns(), {"x": at_rest}))
+        condition.referenced["x"] = True
+        driver = Slow(clock)
+        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        velocities = {"x": 0.2}
+        await jogging.jog(JogRequest(request_id="r", actor="a", holder="h", seq=1, velocities=velocities, valid_ms=200))
+        await sleep_ns(clock, 1)
+        jogging.look(Reading(clock.now_ns() + NS_PER_S, {"x": at_rest}))
+        await sleep_ns(clock, 1)
+        assert driver.ordered == ["x", "stop x"]
+        assert condition.stop_unseen and not condition.jogging
+
+    run_virtual(main)
+
+
 def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
     """A member that was released is believed dead after 0.7 s of silence, and its line may be taken until T0."""
     t0_ns = 3 * NS_PER_S
