@@ -11,6 +11,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.lab.campaign_fleets import MAKES, fleet_of
 from orchestrator.lab.campaign_jobs import preparation
 from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.fleet import Fleet
 
 AFTER_MS = (1, 3, 8, 25, 70, 120)  # the request
 DEAF_NS = 400 * NS_PER_MS
@@ -19,17 +20,26 @@ DEAF_NS = 400 * NS_PER_MS
 RESTS_NS = {"closed": 1500 * NS_PER_MS, "deaf": DEAF_NS + 2500 * NS_PER_MS}
 
 
-@pytest.mark.parametrize("make", MAKES)
-def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(make: str) -> None:
-    """Some need longer to be told than an order is good for."""
+def one_of(make: str) -> tuple[Fleet, str, str, float]:
+    """A fleet with a controller of that make, its name, its axis, and a speed to jog it at."""
     fleet = fleet_of(3, [make])
     name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
     axis = f"{name}.{next(iter(config.axes))}"
-    speed = fleet.axis(axis).limits.velocity * 0.05
+    return fleet, name, axis, fleet.axis(axis).limits.velocity * 0.05
+
+
+async def prepared(virtual: VirtualFleet) -> None:
+    every = list(virtual.controllers)
+    assert (await outcome(virtual, preparation(every, every))).state == "done"
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(make: str) -> None:
+    """Some need longer to be told than an order is good for."""
+    fleet, name, axis, speed = one_of(make)
 
     async def main(virtual: VirtualFleet) -> None:
-        every = list(fleet.controllers)
-        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        await prepared(virtual)
         unit, motor = virtual.controllers[name], fleet.axis(axis).motors[0]
         async with virtual.client().by_hand([axis]) as hand:
             await hand.jog({axis: speed})
@@ -51,10 +61,7 @@ def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(ma
 @pytest.mark.parametrize("how", RESTS_NS)
 @pytest.mark.parametrize("make", MAKES)
 def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str, how: str) -> None:
-    fleet = fleet_of(3, [make])
-    name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
-    axis = f"{name}.{next(iter(config.axes))}"
-    speed = fleet.axis(axis).limits.velocity * 0.05
+    fleet, name, axis, speed = one_of(make)
 
     async def press(client: Tutti) -> None:
         with suppress(Refused):
@@ -72,8 +79,7 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
             virtual.clock.call_at_ns(virtual.clock.now_ns() + DEAF_NS, lambda: setattr(wire, "to_far", None))
 
     async def main(virtual: VirtualFleet) -> None:
-        every = list(fleet.controllers)
-        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        await prepared(virtual)
         client, motions = virtual.client(), virtual.controllers[name].motions
         for after_ms in AFTER_MS:
             before = len(motions)
@@ -96,14 +102,10 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
 @pytest.mark.parametrize("make", MAKES)
 def test_who_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(make: str, deaf_s: float) -> None:
     """The line comes back behind the stop that was owed, while the unit is being met."""
-    fleet = fleet_of(3, [make])
-    name, config = next(each for each in fleet.controllers.items() if each[1].adapter == make)
-    axis = f"{name}.{next(iter(config.axes))}"
-    speed = fleet.axis(axis).limits.velocity * 0.05
+    fleet, name, axis, speed = one_of(make)
 
     async def main(virtual: VirtualFleet) -> None:
-        every = list(fleet.controllers)
-        assert (await outcome(virtual, preparation(every, every))).state == "done"
+        await prepared(virtual)
         unit, wire = virtual.controllers[name], virtual.wires[name]
         before = len(unit.motions)
         with suppress(Refused):
