@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from orchestrator.lab.campaign import Cell, play
+from orchestrator.lab.campaign import ALONE, Cell, play
 from orchestrator.lab.campaign_faults import FAULTS
 from orchestrator.lab.campaign_fleets import MAKES
 from orchestrator.lab.campaign_runs import ACTS, CELLS, PAIRS, ROUND, cells_of, run_campaign
@@ -46,7 +46,7 @@ def test_what_a_campaign_found_is_counted() -> None:
 def test_a_round_has_every_cell_of_a_member_and_pairs_change_with_rounds() -> None:
     times = Counter(ROUND)
     assert set(ROUND) <= set(CELLS)
-    of_all = {cell for cell in CELLS if FAULTS[cell.fault].reach == "fleet" and cell.stage != "home"}
+    of_all = {cell for cell in CELLS if FAULTS[cell.fault].reach == "fleet" and cell.stage not in ALONE}
     assert {cell: times[cell] for cell in set(CELLS) - of_all} == dict.fromkeys(set(CELLS) - of_all, 3)
     # Each counts for all makes that take part in its step.
     assert {times[cell] for cell in of_all} == {2}
