@@ -51,10 +51,6 @@ def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     async def act(tutti: "Tutti") -> int:
         return await _panel(tutti, axes)
 
-    from orchestrator.clock.hurry import Urgency, hurry
-
-    # An axis stops when a renewal is 140 ms late: not because a compiler runs on the same machine.
-    hurry(Urgency.SERVICE)
     code = with_fleet(connect, fleet, act)
     if code:
         raise SystemExit(code)

@@ -20,8 +20,8 @@ class Urgency(IntEnum):
 
     SERVICE = 1
     """Coordinator and adapter hosts, who wait for each other's answers: with the coordinator behind them, an answer to
-    `go` came too late for it on two busy processors. The jog panel, whose silence stops an axis. And simulators, for
-    they stand in for hardware: behind the hosts, sixteen of them did not play their contours in time."""
+    `go` came too late for it on two busy processors. And simulators, for they stand in for hardware: behind the hosts,
+    sixteen of them did not play their contours in time."""
     BUS = 2
     """The router, and who gives an e-stop: little to do, and everybody waits for it."""
     GUARDIAN = 3
