@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
-from orchestrator.link.base import Link, OpenLink
+from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import Refusal, StartWay, Term
 from orchestrator.model.profile import Profile
@@ -37,6 +37,14 @@ class DriverFault(Exception):
     def __init__(self, code: str, text: str, remedy: str, axis: str | None = None) -> None:
         super().__init__(text)
         self.fault = Fault(code=code, text=text, remedy=remedy, axis=axis)
+
+
+class Restarted(LinkClosed):
+    """The controller was switched off and on. Its link is given up, so that others hear of it before it is loaded
+    again."""
+
+    def __init__(self) -> None:
+        super().__init__("the controller was restarted; it is connected again from the beginning")
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,8 +244,7 @@ class Driver(ABC):
     async def poll(self) -> Reading:
         """Read the state of all axes, inputs and outputs, as cheaply as the make allows; feeds the clock estimate.
 
-        Raises `LinkClosed` when the controller was restarted and much is to be loaded again: others have to hear of it
-        before. It is met anew then, and the first reading says `restarted`.
+        Raises `Restarted` where much is to be loaded again. It is met anew then, and the first reading says so.
         """
 
     def mapping(self) -> TickMapping | None:

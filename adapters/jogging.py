@@ -71,28 +71,23 @@ class Jogging:
         await self.stop([axis for axis, velocity in request.velocities.items() if velocity == 0], "the key was let go")
         until_ns = self._clock.now_ns() + request.valid_ms * NS_PER_MS
         moving = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
-        # All of them before the first order: it may take longer than it is good for, and is renewed on its way.
-        jogs: dict[str, _Jog] = {}
-        anew: list[str] = []
-        for axis, velocity in moving.items():
-            if axis not in self._jogs and not request.renew:
+        if not request.renew:
+            for axis in [axis for axis in moving if axis not in self._jogs]:
                 self._begin(axis, _Jog(request.holder, until_ns))
-            if axis in self._jogs:
-                jog = jogs[axis] = self._jogs[axis]
-                jog.until_ns = until_ns
-                if jog.wanted != velocity:
-                    jog.wanted = velocity
-                    anew.append(axis)
-        while anew:
-            axis = anew.pop(0)
-            try:
-                await self._order(axis, jogs[axis], moving[axis])
-            except BaseException:
-                for other in anew:
-                    jogs[other].wanted = jogs[other].velocity
-                    if jogs[other].velocity == 0:
-                        self._forget(other, jogs[other], "it could not begin")
-                raise
+        # All of them before the first order: it may take longer than it is good for, and is renewed on its way.
+        jogs = {axis: self._jogs[axis] for axis in moving if axis in self._jogs}
+        for jog in jogs.values():
+            jog.until_ns = until_ns
+        anew = {axis: jog for axis, jog in jogs.items() if jog.wanted != moving[axis]}
+        for axis, jog in anew.items():
+            jog.wanted = moving[axis]
+        try:
+            for axis in list(anew):
+                await self._order(axis, anew.pop(axis), moving[axis])
+        except BaseException:
+            for axis, jog in anew.items():
+                self._take_back(axis, jog)
+            raise
         for axis in moving:
             if axis not in jogs:
                 why = self._ended.get(axis, "it does not jog")
@@ -110,19 +105,23 @@ class Jogging:
                     await self._driver.jog(axis, self._move(axis, velocity))
                     jog.velocity, jog.ordered_ns = velocity, self._clock.now_ns()
             except BaseException as error:
-                jog.wanted = jog.velocity
-                if jog.velocity == 0:
-                    self._forget(axis, jog, "it could not begin")
-                    if not isinstance(error, CannotDo):
-                        # The order may have been taken all the same. On a link that is closed its stop is owed.
-                        self._is_to_rest([axis])
-                        with suppress(DriverFault, LinkClosed):
-                            await self._driver.stop_axes([axis])
+                self._take_back(axis, jog)
+                if jog.velocity == 0 and not isinstance(error, CannotDo):
+                    # The order may have been taken all the same. On a link that is closed its stop is owed.
+                    self._is_to_rest([axis])
+                    with suppress(DriverFault, LinkClosed):
+                        await self._driver.stop_axes([axis])
                 raise
             if self._jogs.get(axis) is not jog:
                 # It was stopped while the order was on its way: the stop may have come first.
                 await self._driver.stop_axes([axis])
         self._changed()
+
+    def _take_back(self, axis: str, jog: _Jog) -> None:
+        """The controller was not given, or has not taken, the order that was wanted."""
+        jog.wanted = jog.velocity
+        if jog.velocity == 0:
+            self._forget(axis, jog, "it could not begin")
 
     def _move(self, name: str, velocity: float) -> JogMove:
         """What the driver is asked for, after everything that forbids it. Raises `CannotDo`."""

@@ -3,14 +3,13 @@
 Queries that may be answered by a bare digit are left out while a completion is owed: their last values are given again.
 """
 
-from adapters.contract import AxisReading, Reading
+from adapters.contract import AxisReading, Reading, Restarted
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import Options
 from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, triples
 from adapters.shrc203.status import ERRORS, faults, lost
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
-from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import Fault
 
@@ -37,7 +36,7 @@ class Poller:
         line = await session.ask_line("Q:SPC", STATUS)
         # Behind it: what it has said is true of axes that still know where they are.
         if await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]:
-            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+            raise Restarted()
         now = status(line.text, unit.controllable)
         if unit.timing is not None:
             unit.timing.looked("Q:SPC", line, now)

@@ -1,6 +1,7 @@
 """The driver of one SMC30, alone on its line or on a bus."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from adapters.contract import (
     CannotDo,
@@ -113,12 +114,10 @@ class SmcDriver(Driver):
     async def poll(self) -> Reading:
         unit = self._connected()
         assert self._poller is not None
-        axis, inputs, outputs, faults, at_ns = await self._poller.poll()
+        reading = await self._poller.poll()
         restarted, self._restarted = self._restarted, False
         self._lost = unit.lost
-        return Reading(
-            at_ns=at_ns, axes={self._axis: axis}, inputs=inputs, outputs=outputs, faults=faults, restarted=restarted
-        )
+        return replace(reading, restarted=restarted)
 
     # A step
 

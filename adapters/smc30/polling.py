@@ -4,14 +4,13 @@ A unit that executes a program answers nothing but that it is busy (L1519-L1522)
 is where its profile says.
 """
 
-from adapters.contract import AxisReading
+from adapters.contract import AxisReading, Reading, Restarted
 from adapters.smc30.hand import Hand
 from adapters.smc30.mover import Move, Mover
 from adapters.smc30.ramp import Ramp, Shape
 from adapters.smc30.session import Busy
 from adapters.smc30.unitstate import Status, UnitState
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import Fault
 
@@ -20,6 +19,7 @@ class Poller:
     """Reads the unit's state. Costs F, V1 and VR, and V2 where inputs or outputs are named; in motion F alone."""
 
     def __init__(self, config: Controller, clock: Clock, unit: UnitState, mover: Mover, hand: Hand) -> None:
+        self._axis = next(iter(config.axes))
         self._points_named = bool(config.inputs or config.outputs)
         self._clock = clock
         self._unit = unit
@@ -28,10 +28,8 @@ class Poller:
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
-    async def poll(
-        self,
-    ) -> tuple[AxisReading, dict[int, bool], dict[int, bool], list[Fault], int]:
-        """The axis, inputs, outputs, faults, and the instant. Raises `LinkClosed` of a unit that was switched off."""
+    async def poll(self) -> Reading:
+        """Raises `Restarted`."""
         unit = self._unit
         now = await unit.status()
         # In Programming Mode neither position nor inputs are told; it stands where it stood.
@@ -56,7 +54,13 @@ class Poller:
             limit=unit.limit,
             lost=unit.lost,
         )
-        return axis, dict(self._inputs), dict(self._outputs), self._faults(), now.at_ns
+        return Reading(
+            at_ns=now.at_ns,
+            axes={self._axis: axis},
+            inputs=dict(self._inputs),
+            outputs=dict(self._outputs),
+            faults=self._faults(),
+        )
 
     async def _at_rest(self) -> None:
         """Ask everything. Raises `Busy`."""
@@ -67,7 +71,7 @@ class Poller:
             self._inputs, self._outputs = await unit.points()
         # Behind it: what it has said is true of an axis that still knows where it is.
         if not await unit.holds_sentinel():
-            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+            raise Restarted()
 
     def _settled(self, now: Status) -> None:
         """At rest: a jog that had been told to begin before that was asked has ended."""

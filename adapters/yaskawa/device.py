@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Iterable
 from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 
-from adapters.contract import CannotDo, DriverFault, Identity
+from adapters.contract import CannotDo, DriverFault, Identity, Restarted
 from adapters.yaskawa import arrays
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
@@ -190,7 +190,7 @@ class Device:
             raise LinkClosed("the controller has closed the handle for stops")
         if self._must_reconnect:
             # It lost its settings and maybe its program with its counter: begin again from `connect`.
-            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+            raise Restarted()
         record, went_on = await self._read_record()
         if not went_on:
             self._must_reconnect = not await self._read_time()

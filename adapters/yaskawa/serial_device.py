@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractAsyncContextManager
 
-from adapters.contract import DriverFault, Identity
+from adapters.contract import DriverFault, Identity, Restarted
 from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
 from adapters.yaskawa.line import Line
@@ -191,7 +191,7 @@ class SerialDevice(Device):
         record, went_on = await self._read_record()
         if not went_on:
             self._restarted = True
-            raise LinkClosed("the controller was restarted; it is connected again from the beginning")
+            raise Restarted()
         restarted, self._restarted = self._restarted, False
         return record, restarted
 

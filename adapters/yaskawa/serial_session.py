@@ -97,7 +97,7 @@ class SerialSession(Session):
         """Control R control V (L13320). It ends without CR: what other units of a chain have made of it is cleared
         before anybody else's turn."""
         line = self._line
-        async with Turn(line, self._unit):
+        async with self.together():
             try:
                 await self._turn_to_unit()
                 reply, _ = await self._exchange(_REVISION, self._reply)
@@ -141,7 +141,7 @@ class SerialSession(Session):
 
     async def _download(self, command: str, lines: tuple[str, ...]) -> None:
         line = self._line
-        async with Turn(line, self._unit):
+        async with self.together():
             await self._turn_to_unit()
             try:
                 line.in_step, self._settled, line.loading = False, False, True
@@ -168,7 +168,7 @@ class SerialSession(Session):
         Without a pause after QD: should it be refused, they are lines of numbers, which are no commands.
         """
         line = self._line
-        async with Turn(line, self._unit):
+        async with self.together():
             await self._turn_to_unit()
             stops, loaded = line.stops, False
             try:
@@ -231,7 +231,7 @@ class SerialSession(Session):
         """
         line, begins = self._line, command.startswith(BEGINNINGS)
         while True:
-            async with Turn(line, self._unit):
+            async with self.together():
                 stops = line.stops
                 try:
                     await self._turn_to_unit()

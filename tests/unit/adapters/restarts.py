@@ -2,13 +2,12 @@
 
 import pytest
 
-from adapters.contract import Driver
-from orchestrator.link.base import LinkClosed
+from adapters.contract import Driver, Restarted
 
 
 async def sees_the_restart(driver: Driver) -> None:
     """A poll gives the link up at once, and the first one after meeting the controller again tells why, once."""
-    with pytest.raises(LinkClosed, match="restarted"):
+    with pytest.raises(Restarted):
         await driver.poll()
     await driver.close()
     await driver.connect()
