@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from adapters.contract import (
     CannotDo,
@@ -72,7 +73,6 @@ class PpSmcDriver(Driver):
             options.answer_ms * NS_PER_MS,
             slow_ns,
             self._token,
-            self._restarted,
         )
         stopper = Stopper(self._setup.open_link, self._config.link.kind == "tcp")
         unit = self._unit = UnitState(session, stopper, self._config, slow_ns, enabled=self._enabled)
@@ -84,6 +84,8 @@ class PpSmcDriver(Driver):
         await stopper.open()
         identity = await startup.identify(unit)
         await startup.wait_idle(unit, self._clock, options)
+        # Said by the first poll: whoever reaches a unit again must hear that it was off meanwhile.
+        self._take_note(session)
         self._installed = max(self._installed, unit.installed)
         return identity
 
@@ -108,18 +110,14 @@ class PpSmcDriver(Driver):
         assert self._poller is not None
         reading = await self._poller.poll()
         self._token = unit.session.token
-        if reading.restarted:
-            self._moving().forget()
-            self._crystal.forget()
-            unit.profiles.clear()
-            unit.introduced = False
         resting = not any(axis.moving for axis in reading.axes.values())
         if not unit.introduced and resting and not unit.session.blocked:
             await self.configure()
         elif unit.untidy and resting and not unit.session.blocked:
             await self._moving().tidy()
         await unit.stopper.open()
-        return reading
+        restarted, self._restarted = self._restarted, False
+        return replace(reading, restarted=restarted)
 
     # A step
 
@@ -231,7 +229,8 @@ class PpSmcDriver(Driver):
     async def close(self) -> None:
         unit, self._unit = self._unit, None
         if unit is not None:
-            self._token, self._restarted = unit.session.token, unit.session.restarted
+            self._token = unit.session.token
+            self._take_note(unit.session)
             if self._mover is not None:
                 self._mover.forget()
             await unit.stopper.close()
@@ -242,6 +241,11 @@ class PpSmcDriver(Driver):
     @property
     def _output_turn(self) -> asyncio.Lock:
         return self._connected().output_turn
+
+    def _take_note(self, session: Session) -> None:
+        if session.restarted:
+            self._restarted, session.restarted = True, False
+            self._crystal.forget()
 
     def _connected(self) -> UnitState:
         if self._unit is None:

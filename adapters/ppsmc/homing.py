@@ -51,7 +51,6 @@ async def home(
 ) -> Mapping[str, CannotDo]:
     """Find the references of `axes`. Gives those that have not. Raises `CannotDo` when none was begun."""
     unit.require_enabled(axes)
-    restarts = unit.restarts
     waiting = [_search(config, unit, name) for name in axes]
     failed: dict[str, CannotDo] = {}
     running: list[_Search] = []
@@ -77,8 +76,8 @@ async def home(
             await sleep_ns(clock, _LOOK_NS)
             look = await unit.look()
             for each in [each for each in running if look.ready(each.motor) or look.blocked]:
-                why = await _judged(unit, each, look, restarts)
-                if why == "" or clock.now_ns() > each.begun_ns + _LAG_NS or unit.restarts != restarts:
+                why = await _judged(unit, each, look)
+                if why == "" or clock.now_ns() > each.begun_ns + _LAG_NS or unit.session.restarted:
                     running.remove(each)
                     if why:
                         text = f"axis {each.axis} has not found its reference: {why}"
@@ -155,10 +154,10 @@ def _speeds(axis: Axis) -> tuple[int, int, int, int]:
     return highest, f, max(1, limits.ramp_max), fine
 
 
-async def _judged(unit: UnitState, search: _Search, look: Look, restarts: int) -> str:
+async def _judged(unit: UnitState, search: _Search, look: Look) -> str:
     """What is wrong with a search whose axis is at rest; "" when it has found its reference."""
     motor, bits = search.motor, look.bits[search.motor]
-    if unit.restarts != restarts or unit.session.restarted:
+    if unit.session.restarted:
         return "the unit was restarted"
     if unit.stops_given(motor) != search.stops or look.blocked:
         return "it was stopped"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from fractions import Fraction
 
-from adapters.contract import AxisReading, DriverFault, Reading
+from adapters.contract import AxisReading, DriverFault, Reading, Restarted
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.replies import (
@@ -68,11 +68,8 @@ class Poller:
                 self._inputs = port_bits(int(heard.text(ASK_INPUTS)))
             if ASK_OUTPUTS in heard:
                 self._outputs = port_bits(int(heard.text(ASK_OUTPUTS)))
-        restarted, session.restarted = session.restarted, False
-        if restarted:
-            unit.restarts += 1
-            unit.referenced.clear()
-            unit.spoiled.clear()
+        if session.restarted:
+            raise Restarted()
         faults = _faults(look)
         axes = {name: self._axis(name, look, said, actual, measured) for name in self._motors}
         for name, motor in self._motors.items():
@@ -85,7 +82,6 @@ class Poller:
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
             faults=faults,
-            restarted=restarted,
         )
 
     def _axis(

@@ -91,17 +91,15 @@ class Session:
     """The conversation with one unit.
 
     slow_ns: the slowest execution of one command. token: the last one of an earlier connection, 0 without any.
-    restarted: the unit has forgotten the token, now or in an earlier connection; stays so until somebody takes note.
+    restarted: the unit has forgotten the token; stays so until somebody takes note.
     greeting: what the unit said first.
     """
 
-    def __init__(
-        self, link: Link, clock: Clock, answer_ns: int, slow_ns: int, token: int = 0, restarted: bool = False
-    ) -> None:
+    def __init__(self, link: Link, clock: Clock, answer_ns: int, slow_ns: int, token: int = 0) -> None:
         self.link = link
         self.greeting = ""
         self.blocked = False
-        self.restarted = restarted
+        self.restarted = False
         self._known = token > 0
         self._clock = clock
         self._answer_ns = answer_ns

@@ -58,7 +58,7 @@ class UnitState:
     since the last search. spoiled: axes that a limit switch has stopped, whose position is not valid (L2546).
     loading: held by whoever configures the unit, output_turn: by whoever changes outputs. untidy: a stop or a move may
     have left targets. profiles: what is known to be loaded. introduced: compared with the fleet file. driving: a step
-    switches an output. restarts: noticed so far. watched: told of every look while a move is under way.
+    switches an output. watched: told of every look while a move is under way.
     """
 
     session: Session
@@ -78,7 +78,6 @@ class UnitState:
     untidy: bool = False
     introduced: bool = False
     driving: bool = False
-    restarts: int = 0
     watched: Callable[[Look], None] | None = None
     installed: int = 0
     _stops_given: Counter[int] = field(default_factory=Counter[int])

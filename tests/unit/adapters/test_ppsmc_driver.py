@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from unit.adapters.ppsmc_bench import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
+from adapters.contract import CannotDo, DriverFault, Restarted
 from adapters.ppsmc import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
@@ -235,6 +235,24 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
         assert (await bench.move({"x": bench.steps("x") + 500})).state == "done"
 
     run(case)
+
+
+def test_a_restart_is_told_before_the_unit_is_compared_with_the_fleet_file_again() -> None:
+    """That takes more than a second on a serial line, and others go on moving meanwhile."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        bench.unit.set_power(False)
+        await sleep_ns(bench.clock, 100 * NS_PER_MS)
+        bench.unit.set_power(True)
+        began_ns = bench.clock.now_ns()
+        with pytest.raises(Restarted):
+            await bench.driver.poll()
+        assert bench.clock.now_ns() - began_ns < 300 * NS_PER_MS
+        await bench.reached_again_quietly()
+        assert [(await bench.driver.poll()).restarted for _ in range(2)] == [True, False]
+
+    run(case, config=controller(serial=True))
 
 
 def test_a_peer_that_vanishes_is_said_at_once() -> None:
