@@ -61,16 +61,19 @@ class Requests:
     def __init__(self, net: "MemoryNet") -> None:
         self._net = net
         self._served: list[Served] = []
+        self._serving: dict[str, list[Served]] = {}  # by what was asked for, since `_served` has changed last
         self._questions: dict[Outcome, _Question] = {}
         self._handling: dict[asyncio.Task[None], Served] = {}
 
     def add(self, served: Served) -> None:
         self._served.append(served)
+        self._serving.clear()
 
     def forget(self, served: Served) -> None:
         served.stands = False
         if served in self._served:
             self._served.remove(served)
+            self._serving.clear()
 
     def forget_all(self, bus: "MemoryBus") -> None:
         """A process has left or died: nothing new is asked of it."""
@@ -89,7 +92,11 @@ class Requests:
         """Send a request to everybody who serves its key."""
         if asker.given_up or outcome.over:
             return
-        asked = [each for each in self._served if not each.bus.given_up and intersects(each.expression, outcome.key)]
+        serving = self._serving.get(outcome.key)
+        if serving is None:
+            serving = [each for each in self._served if intersects(each.expression, outcome.key)]
+            self._serving[outcome.key] = serving
+        asked = [each for each in serving if not each.bus.given_up]
         question = _Question(asker, payload, outcome, asked)
         self._questions[outcome] = question
         outcome.settled.add_done_callback(lambda _: self._questions.pop(outcome, None))

@@ -65,7 +65,8 @@ class Machine:
         self.interpreter = Interpreter(self, self._delay_ns)
         self.events = Events(self)
         self._timer: Timer | None = None
-        self._timer_sample: float = inf
+        self._timer_sample: float = -inf
+        """The next sample where something happens by itself, as far as it is known."""
         self._timer_due_ns = 0
         self._clear()
         self.memory.restore()
@@ -144,6 +145,8 @@ class Machine:
         if not self.powered:
             return
         now = self.now()
+        if now < self._timer_sample:
+            return
         if self.recorder.due <= now:
             self.recorder.run(now)
         self.motion.settle(now)
@@ -186,7 +189,7 @@ class Machine:
 
     def _wake(self) -> None:
         self._timer = None
-        self._timer_sample = inf
+        self._timer_sample = -inf
         timebase = self.timebase
         timebase.due_ns = self._timer_due_ns
         try:
@@ -208,7 +211,7 @@ class Machine:
         """The samples have changed their length: the timer stands at the wrong instant."""
         if self._timer is not None:
             self._timer.cancel()
-        self._timer, self._timer_sample = None, inf
+        self._timer, self._timer_sample = None, -inf
         self.motion.samples_again()
 
     # Reset and power
