@@ -152,6 +152,7 @@ class Commands:
 
     async def _adopt(self, request: Adopt) -> Adopted:
         if self._fence.adopt(request):
+            await self._fence.keep()
             self._parts.leases.drop(f"a new reign, epoch {request.epoch}")
             await self._parts.member.abandon(f"a new reign, epoch {request.epoch}")
         self._presenter.publish()
@@ -223,6 +224,7 @@ class Commands:
             except UnitError as error:
                 raise CannotDo("bad-unit", f"{name}: {error}") from None
         self._parts.remembered.change(offsets=offsets)
+        await self._parts.remembered.keep()
         self._presenter.publish()
         return Reply()
 
@@ -242,6 +244,7 @@ class Commands:
         await self._require_safe()
         if not request.check:
             if self._fence.release():
+                await self._fence.keep()
                 self._presenter.emit("reset", f"e-stop reset by {request.actor}")
             self._presenter.publish()
         return Reply()

@@ -26,7 +26,8 @@ class Fence:
         return self._remembered.now.estop
 
     def adopt(self, request: Adopt) -> bool:
-        """Take the coordinator of `request`; True when it is another reign than before. Raises `CannotDo`."""
+        """Take the coordinator of `request`, to be kept with `keep`; True when it is another reign than before. Raises
+        `CannotDo`."""
         known = self._remembered.now
         if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
             raise CannotDo(
@@ -61,12 +62,12 @@ class Fence:
         """Latch, to be kept with `keep`; False when one is latched already (the first one keeps its name)."""
         if self._remembered.now.estop is not None:
             return False
-        self._remembered.change_at_once(estop=latch)
+        self._remembered.change(estop=latch)
         return True
 
-    def keep(self) -> None:
-        """The latch is safe when this returns."""
-        self._remembered.keep()
+    async def keep(self) -> None:
+        """Epoch and latch are safe when this returns. Raises `OSError`."""
+        await self._remembered.keep()
 
     def require_event(self, event: str | None) -> None:
         """Raises `CannotDo` when another e-stop than `event` is latched (`None`: any will do)."""
@@ -75,7 +76,7 @@ class Fence:
             raise CannotDo("other-estop", f"the latched e-stop is {latch.event}, not {event}", "look at `tutti status`")
 
     def release(self) -> bool:
-        """Release the latch. False if none was latched."""
+        """Release the latch, to be kept with `keep`. False if none was latched."""
         if self.latch is None:
             return False
         self._remembered.change(estop=None)

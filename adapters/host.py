@@ -11,12 +11,13 @@ from pydantic import ValidationError
 
 from adapters.contract import Firer, Make, Setup
 from adapters.seat import Seat
-from adapters.store import Store
+from adapters.store import Remembered, Store
 from adapters.unit import Unit
 from orchestrator.bus.base import Bus, Declared, NoReply, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.disk import Runs
 from orchestrator.clock.fleet import Exchange, FleetScale, estimated_scale, exact_scale
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
@@ -79,6 +80,7 @@ class Surroundings:
     firer: Firer
     open_link: Callable[[str, Controller], OpenLink]
     store: Callable[[str], Store]
+    runs: Runs
     sink: Sink
     instance: str
 
@@ -141,7 +143,7 @@ class AdapterHost:
             reconfigure=lambda controller, config: self._spawn(self._reconfigure(controller, config)),
             lowering=self._lowering,
         )
-        return Unit(seat, around.store(controller))
+        return Unit(seat, Remembered(around.store(controller), around.runs))
 
     def _fleet_ns(self) -> int | None:
         return None if self._scale is None else self._scale.fleet_ns(self._around.clock.now_ns())

@@ -28,6 +28,7 @@ from orchestrator.bus.log import Log, Sink
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
+from orchestrator.clock.disk import Threaded
 from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.model.files import FileError, load_fleet
@@ -171,6 +172,7 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
             firer,
             lambda _, config: open_link(config.reached_by, clock),
             lambda controller: FileStore(chosen.state / f"{controller}.json"),
+            Threaded("memory"),
             sink,
             uuid4().hex,
         )

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from pydantic import Field, ValidationError
 
+from orchestrator.clock.disk import Runs
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.state import EstopLatch
 
@@ -30,21 +31,22 @@ class Store(Protocol):
 
 
 class Remembered:
-    """The memory at hand; a change is safe when `change` returns, one that can not wait for a disk after `keep`."""
+    """The memory at hand: changed at once, and safe after `keep`."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, runs: Runs) -> None:
         self._store = store
-        self.now = store.load()
+        self._runs = runs
+        self.now = self._kept = store.load()
 
     def change(self, **fields: Any) -> None:
-        self.change_at_once(**fields)
-        self.keep()
-
-    def change_at_once(self, **fields: Any) -> None:
         self.now = self.now.model_copy(update=fields)
 
-    def keep(self) -> None:
-        self._store.save(self.now)
+    async def keep(self) -> None:
+        """What has been changed so far is safe when this returns. Raises `OSError`."""
+        memory = self.now
+        if memory is not self._kept:
+            await self._runs(self._store.save, memory)
+            self._kept = memory
 
 
 class MemoryStore:

@@ -22,7 +22,7 @@ from adapters.presenter import Presenter
 from adapters.referencing import Referencing
 from adapters.seat import Seat
 from adapters.settling import Settling
-from adapters.store import Remembered, Store
+from adapters.store import Remembered
 from orchestrator.bus.base import Declared
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
@@ -33,7 +33,7 @@ from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, 
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
-# Of the loop; by then all units of this host have written their stops. The disk comes behind: milliseconds for each.
+# Of the loop; by then all units of this host have written their stops. What is kept on disk comes behind.
 TURNS_TO_STOP = 2
 BEGUN_NS = 300 * NS_PER_MS  # after T0: by then it can be seen whether somebody moves
 BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
@@ -41,14 +41,13 @@ STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered b
 
 
 class Unit:
-    """Runs the controller of `seat`; `store` remembers its e-stop latch and epoch."""
+    """Runs the controller of `seat`; its e-stop latch and epoch are `remembered`."""
 
-    def __init__(self, seat: Seat, store: Store) -> None:
+    def __init__(self, seat: Seat, remembered: Remembered) -> None:
         self.controller = seat.controller
         self._seat = seat
         self._config, self._driver = seat.config, seat.driver
         self._bus, self._keys, self._clock, self._log = seat.bus, seat.keys, seat.clock, seat.log
-        remembered = Remembered(store)
         self._fence = Fence(remembered)
         self._condition = Condition(seat.config)
         driver, condition = seat.driver, self._condition
@@ -125,7 +124,7 @@ class Unit:
                 continue
             if state.estop is not None and state.controller != self.controller:
                 self._fence.latch_estop(state.estop)
-                self._fence.keep()
+        await self._fence.keep()
 
     async def _live(self) -> None:
         """Reach the controller, serve it until the link breaks, and again, with growing pauses."""
@@ -358,16 +357,19 @@ class Unit:
         for _ in range(TURNS_TO_STOP):
             await asyncio.sleep(0)
         if fresh:
-            try:
-                self._fence.keep()
-            except OSError as error:
-                self._log.warning(f"the e-stop's latch is not on disk: {error}", controller=self.controller)
+            self._spawn(self._keep_latch())
         await stopping
         if fresh:
             self._presenter.emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
         self._presenter.publish()
         await self._survive(self._make_outputs_safe())
         await self._survive(self._motors.after_estop())
+
+    async def _keep_latch(self) -> None:
+        try:
+            await self._fence.keep()
+        except OSError as error:
+            self._log.warning(f"the e-stop's latch is not on disk: {error}", controller=self.controller)
 
     async def _make_outputs_safe(self) -> None:
         """Take the outputs that have a safe state to it."""

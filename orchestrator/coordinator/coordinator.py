@@ -13,10 +13,11 @@ from orchestrator.bus.base import Bus, Declared, RequestRefused, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import Clock
+from orchestrator.clock.disk import Runs
 from orchestrator.coordinator.hands import Hands
 from orchestrator.coordinator.homing import Homing
 from orchestrator.coordinator.job_run import Interrupted, Works
-from orchestrator.coordinator.journal import Journal, JournalError, Runs
+from orchestrator.coordinator.journal import Journal, JournalError
 from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.motion import Motion

@@ -12,7 +12,8 @@ from typing import Any
 
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.coordinator.journal import Journal, JournalError, Runs
+from orchestrator.clock.disk import Runs
+from orchestrator.coordinator.journal import Journal, JournalError
 from orchestrator.coordinator.leases import Held, LeaseBook
 from orchestrator.coordinator.permits import Guard, Permits
 from orchestrator.coordinator.steps import expand

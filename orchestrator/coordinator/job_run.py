@@ -9,7 +9,8 @@ from orchestrator.bus.base import Bus, BusError, Priority
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
-from orchestrator.coordinator.journal import JobRow, Journal, JournalError, Runs
+from orchestrator.clock.disk import Runs
+from orchestrator.coordinator.journal import JobRow, Journal, JournalError
 from orchestrator.coordinator.leases import InUse, LeaseBook
 from orchestrator.coordinator.motion import HELD, Motion
 from orchestrator.coordinator.queue import axes_of, steps_to_run

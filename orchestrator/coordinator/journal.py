@@ -1,14 +1,12 @@
 """The journal: what was accepted, decided and done, in SQLite, safe on disk before anybody is told.
 
-`Journal` is synchronous. Live it runs in a thread of its own (`Threaded`), in virtual time inline (`Inline`).
+`Journal` is synchronous. Who calls it chooses where it runs (`orchestrator.clock.disk`).
 """
 
-import asyncio
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 from pydantic import ValidationError
 
@@ -413,24 +411,3 @@ def _unusable(path: str, error: Exception) -> JournalError:
         f"{path}: the journal can not be used ({error})",
         "make room on its disk, mend it, or move it aside to begin a new one",
     )
-
-
-class Runs(Protocol):
-    """Where the journal's calls run."""
-
-    async def __call__(self, function: Callable[..., T], *values: Any) -> T: ...
-
-
-async def inline(function: Callable[..., T], *values: Any) -> T:
-    """At once, in virtual time."""
-    return function(*values)
-
-
-class Threaded:
-    """In a thread of its own, so that a slow disk does not hold up heartbeats and commands."""
-
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="journal")
-
-    async def __call__(self, function: Callable[..., T], *values: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*values))

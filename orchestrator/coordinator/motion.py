@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.disk import Runs
 from orchestrator.coordinator.budget import judge, skew
-from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.journal import Journal
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import Moving
 from orchestrator.coordinator.permits import Permits

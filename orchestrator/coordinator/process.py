@@ -18,11 +18,12 @@ from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterUnreachable
+from orchestrator.clock.disk import Threaded
 from orchestrator.clock.hurry import Urgency, hurry, step_back
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.coordinator.coordinator import Coordinator, Court
-from orchestrator.coordinator.journal import Journal, JournalError, Threaded
+from orchestrator.coordinator.journal import Journal, JournalError
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.coordinator.standby import Reigning, vacancy
 from orchestrator.model.files import FileError, load_fleet
@@ -68,7 +69,7 @@ async def _stood_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyn
 
 async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, urgent: bool) -> int:
     loop = asyncio.get_running_loop()
-    journal, runs = Journal(options.journal), Threaded()
+    journal, runs = Journal(options.journal), Threaded("journal")
     court = Court(
         bus=bus,
         keys=Keys(fleet.fleet),

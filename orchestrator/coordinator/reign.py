@@ -8,8 +8,9 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, Declared, Priority, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.disk import Runs
 from orchestrator.clock.fleet import FleetScale
-from orchestrator.coordinator.journal import Journal, Runs
+from orchestrator.coordinator.journal import Journal
 from orchestrator.model.messages import Reign, TimeReply
 from orchestrator.model.state import ControllerState
 

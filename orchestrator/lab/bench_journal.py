@@ -8,9 +8,10 @@ from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory import MemoryBus, MemoryNet
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.disk import inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.coordinator import Coordinator, Court
-from orchestrator.coordinator.journal import Journal, inline
+from orchestrator.coordinator.journal import Journal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.queue import Terms

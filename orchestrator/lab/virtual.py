@@ -19,9 +19,10 @@ from orchestrator.bus.memory import MemoryBus, MemoryNet
 from orchestrator.bus.memory_medium import Latency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.disk import inline
 from orchestrator.clock.virtual import Process, VirtualClock
 from orchestrator.coordinator.coordinator import Coordinator, Court
-from orchestrator.coordinator.journal import Journal, JournalError, inline
+from orchestrator.coordinator.journal import Journal, JournalError
 from orchestrator.coordinator.reign import AnotherReigns
 from orchestrator.coordinator.standby import vacancy
 from orchestrator.lab.bridge import network
@@ -219,6 +220,7 @@ class VirtualFleet:
             firer=LoopFirer(self.clock, lambda: draw.randrange(WAKE_NS)),
             open_link=open_link,
             store=lambda controller: self._stores.setdefault(controller, MemoryStore()),
+            runs=inline,
             sink=self.lines.append,
             instance=label,
         )

@@ -1,18 +1,22 @@
 """What a person needs to put a machine to work: motors and brakes, permits, coordinates, configuration, reset."""
 
 import asyncio
+from collections.abc import Callable
 from fractions import Fraction
+from typing import Any, TypeVar
 
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
 from adapters.store import Memory, MemoryStore
 from orchestrator.client.api import Refused
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.link.memory import MemoryLink
 from orchestrator.model.fleet import Fleet, Permit
 from orchestrator.model.state import ControllerState
 
+T = TypeVar("T")
 DOOR = Permit(input="gantry.door", value=False, axes=["table"])
 TEN_S = job("[{do: move, to: {gantry.x: 390, stage.u: 40}, speed: 0.2}]")
 
@@ -471,5 +475,37 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
         await moving.result()
         assert {"AB\r", "L:E\r\n"} < set(order[: order.index("disk")])
         assert order.count("disk") == 2
+
+    run_fleet(main)
+
+
+def test_a_slow_disk_holds_up_nothing_of_an_estop(monkeypatch: pytest.MonkeyPatch) -> None:
+    takes_s = 0.0
+
+    async def slow(function: Callable[..., T], *values: Any) -> T:
+        if function.__name__ == "save":
+            await asyncio.sleep(takes_s)
+        return function(*values)
+
+    monkeypatch.setattr("orchestrator.lab.virtual.inline", slow)
+
+    async def main(fleet: VirtualFleet) -> None:
+        nonlocal takes_s
+        await outcome(fleet, PREPARE)
+        client = fleet.client()
+        moving = await client.submit(TEN_S)
+        await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
+        takes_s = 2.0
+        began_ns = fleet.clock.now_ns()
+        await client.estop("a test")
+        await moving.result()
+        await fleet.until(lambda states: all(each.estop is not None for each in states.values()))
+        # The stage's motors go off at an e-stop, when they rest.
+        await fleet.until(lambda states: not states["stage"].axes["u"].enabled)
+        assert fleet.clock.now_ns() - began_ns < NS_PER_S
+        await asyncio.sleep(2 * takes_s)
+        fleet.kill("host/local")
+        states = await fleet.until(lambda states: all(each.mode in ("idle", "fault") for each in states.values()))
+        assert all(each.estop is not None and each.estop.reason == "a test" for each in states.values())
 
     run_fleet(main)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken, Threaded
+from orchestrator.clock.disk import Threaded
+from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken
 from orchestrator.coordinator.journal_schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse
 from orchestrator.model.job import Job
@@ -221,7 +222,7 @@ def test_a_body_that_can_not_be_read_names_the_job() -> None:
 
 def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
     """Closed under a call of another thread, SQLite ended a deposed coordinator with a segmentation fault."""
-    journal, runs = Journal(":memory:"), Threaded()
+    journal, runs = Journal(":memory:"), Threaded("journal")
     go_on, used = threading.Event(), list[str]()
 
     def slow() -> None:

@@ -18,7 +18,7 @@ PACKAGES = ("orchestrator", "adapters", "sim")
 # What runs in virtual time reads no clock, starts no thread, and draws nothing without a seed. Exempt are the live
 # ends, each for the reason that stands in its docstring, and benchmarks, which measure real time.
 LIVE = re.compile(
-    r"(process|live|guardian|workers|zenoh_\w+|journal|bench_\w+|parent)\.py$|/link/|^orchestrator/cli/|^orchestrator/client/(api|blocking)"
+    r"(process|live|guardian|workers|zenoh_\w+|disk|bench_\w+|parent)\.py$|/link/|^orchestrator/cli/|^orchestrator/client/(api|blocking)"
 )
 BANNED = {"time", "threading", "concurrent.futures", "uuid", "multiprocessing", "secrets"}
 
