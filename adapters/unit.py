@@ -33,8 +33,7 @@ from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, 
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
-# Of the loop; by then all units of this host have written their stops. What is kept on disk comes behind.
-TURNS_TO_STOP = 2
+TOLD_NS = 30 * NS_PER_MS  # after an e-stop, to people and to the disk: first all units of the host are to stop
 BEGUN_NS = 300 * NS_PER_MS  # after T0: by then it can be seen whether somebody moves
 BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
 STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
@@ -353,19 +352,16 @@ class Unit:
     async def estop(self, latch: EstopLatch) -> None:
         """Latch and stop as fast as the controller can; then outputs and motors go where they are safe."""
         fresh = self._fence.latch_estop(latch)
-        stopping = self._spawn(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
-        for _ in range(TURNS_TO_STOP):
-            await asyncio.sleep(0)
-        if fresh:
-            self._spawn(self._keep_latch())
-        await stopping
-        if fresh:
-            self._presenter.emit("estop", f"e-stop by {latch.actor}: {latch.reason}")
-        self._presenter.publish()
+        self._spawn(self._tell_latch(latch if fresh else None))
+        await self._survive(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
         await self._survive(self._make_outputs_safe())
         await self._survive(self._motors.after_estop())
 
-    async def _keep_latch(self) -> None:
+    async def _tell_latch(self, fresh: EstopLatch | None) -> None:
+        await sleep_ns(self._clock, TOLD_NS)
+        if fresh is not None:
+            self._presenter.emit("estop", f"e-stop by {fresh.actor}: {fresh.reason}")
+        self._presenter.publish()
         try:
             await self._fence.keep()
         except OSError as error:

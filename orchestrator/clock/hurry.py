@@ -20,10 +20,10 @@ class Urgency(IntEnum):
 
     SERVICE = 1
     """Coordinator and adapter hosts, who wait for each other's answers: with the coordinator behind them, an answer to
-    `go` came too late for it on two busy processors. And simulators, for they stand in for hardware: behind the hosts,
-    sixteen of them did not play their contours in time."""
+    `go` came too late for it on two busy processors."""
     BUS = 2
-    """The router, and who gives an e-stop: little to do, and everybody waits for it."""
+    """The router, and who gives an e-stop: little to do, and everybody waits for it. And simulators, for they stand in
+    for hardware, which waits for nobody's processor: as urgent as the hosts, they braked up to 20 ms too late."""
     GUARDIAN = 3
     """Must be able to end an adapter host that runs wild."""
     FIRING = 4

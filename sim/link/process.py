@@ -46,7 +46,7 @@ class CannotStart(Exception):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Gives 0, or 2 with one line on stderr when it can not start."""
     chosen = parse_arguments(arguments)
-    hurry(Urgency.SERVICE)
+    hurry(Urgency.BUS)
     try:
         asyncio.run(_run(chosen))
     except CannotStart as error:

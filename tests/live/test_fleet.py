@@ -133,7 +133,7 @@ def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFl
         "adapters.guardian": Urgency.GUARDIAN,
         "adapters.host_process": Urgency.SERVICE,
         "adapters.firing_process": Urgency.FIRING,
-        "sim.link.process --model smc4000": Urgency.SERVICE,
+        "sim.link.process --model smc4000": Urgency.BUS,
         "coordinator.process": Urgency.SERVICE,
     }
     found = {words: priorities(shared.pid(words)) for words in urgencies}
