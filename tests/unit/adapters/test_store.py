@@ -1,0 +1,86 @@
+"""What an adapter remembers over its own death."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from adapters.store import FileStore, Memory, MemoryStore, Remembered
+from orchestrator.clock.disk import Threaded, inline
+from orchestrator.model.state import EstopLatch
+
+LATCH = EstopLatch(event="e1", actor="anna", reason="a hand in the machine", utc="2026-11-23T04:00:00Z")
+
+
+class Disk(MemoryStore):
+    """A store that counts what is saved, and that can be full."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.saved: list[int] = []
+        self.full = False
+
+    def save(self, memory: Memory) -> None:
+        if self.full:
+            raise OSError("no space left on device")
+        self.saved.append(memory.epoch)
+        super().save(memory)
+
+
+def test_what_was_kept_is_there_again(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "state" / "gantry.json")
+    assert store.load() == Memory()
+
+    async def change() -> None:
+        remembered = Remembered(store, inline)
+        remembered.change(epoch=7, coordinator="c1")
+        remembered.change(estop=LATCH)
+        await remembered.keep()
+
+    asyncio.run(change())
+    again = Remembered(FileStore(tmp_path / "state" / "gantry.json"), inline).now
+    assert (again.epoch, again.coordinator, again.estop) == (7, "c1", LATCH)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"epoch": "many"}', b"\xff\xfe"])
+def test_a_file_that_can_not_be_read_counts_as_an_estop(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "gantry.json"
+    path.write_bytes(content)
+    latch = FileStore(path).load().estop
+    assert latch is not None and latch.event == "unreadable-store"
+    assert str(path) in latch.reason and "reset" in latch.reason
+
+
+def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:
+    async def main() -> None:
+        store = FileStore(tmp_path / "gantry.json")
+        remembered = Remembered(store, Threaded("memory"))
+        keeping: list[asyncio.Task[None]] = []
+        for epoch in range(1, 30):
+            remembered.change(epoch=epoch)
+            keeping.append(asyncio.get_running_loop().create_task(remembered.keep()))
+            await asyncio.sleep(0)
+        await asyncio.gather(*keeping)
+        assert store.load().epoch == 29
+
+    asyncio.run(main())
+
+
+def test_what_has_been_kept_is_not_written_again_and_what_could_not_be_is() -> None:
+    async def main() -> None:
+        disk = Disk()
+        remembered = Remembered(disk, inline)
+        await remembered.keep()
+        remembered.change(epoch=1)
+        await remembered.keep()
+        await remembered.keep()
+        assert disk.saved == [1]
+        remembered.change(epoch=2)
+        disk.full = True
+        with pytest.raises(OSError, match="no space"):
+            await remembered.keep()
+        disk.full = False
+        await remembered.keep()
+        assert disk.saved == [1, 2] and disk.load().epoch == 2
+
+    asyncio.run(main())
