@@ -151,8 +151,7 @@ class Commands:
         return reply(refused=refusal.model_copy(update={"member": self._seat.controller})).to_json()
 
     async def _adopt(self, request: Adopt) -> Adopted:
-        if self._fence.adopt(request):
-            await self._fence.keep()
+        if await self._fence.adopt(request):
             self._parts.leases.drop(f"a new reign, epoch {request.epoch}")
             await self._parts.member.abandon(f"a new reign, epoch {request.epoch}")
         self._presenter.publish()
@@ -243,8 +242,7 @@ class Commands:
         self._fence.require_event(request.event)
         await self._require_safe()
         if not request.check:
-            if self._fence.release():
-                await self._fence.keep()
+            if await self._fence.release():
                 self._presenter.emit("reset", f"e-stop reset by {request.actor}")
             self._presenter.publish()
         return Reply()

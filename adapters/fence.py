@@ -25,9 +25,9 @@ class Fence:
     def latch(self) -> EstopLatch | None:
         return self._remembered.now.estop
 
-    def adopt(self, request: Adopt) -> bool:
-        """Take the coordinator of `request`, to be kept with `keep`; True when it is another reign than before. Raises
-        `CannotDo`."""
+    async def adopt(self, request: Adopt) -> bool:
+        """Take the coordinator of `request`; True when it is another reign than before. Raises `CannotDo`,
+        `OSError`."""
         known = self._remembered.now
         if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
             raise CannotDo(
@@ -39,6 +39,7 @@ class Fence:
         changed = (request.epoch, request.coordinator) != (known.epoch, known.coordinator)
         if changed:
             self._remembered.change(epoch=request.epoch, coordinator=request.coordinator)
+        await self.keep()
         fresh, self._adopted = not self._adopted, True
         return changed or fresh
 
@@ -75,9 +76,10 @@ class Fence:
         if latch is not None and event is not None and latch.event != event:
             raise CannotDo("other-estop", f"the latched e-stop is {latch.event}, not {event}", "look at `tutti status`")
 
-    def release(self) -> bool:
-        """Release the latch, to be kept with `keep`. False if none was latched."""
+    async def release(self) -> bool:
+        """Release the latch. False if none was latched. Raises `OSError`."""
         if self.latch is None:
             return False
         self._remembered.change(estop=None)
+        await self.keep()
         return True

@@ -71,8 +71,8 @@ class Jogging:
         await self.stop([axis for axis, velocity in request.velocities.items() if velocity == 0], "the key was let go")
         until_ns = self._clock.now_ns() + request.valid_ms * NS_PER_MS
         moving = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
-        if not request.renew:
-            for axis in [axis for axis in moving if axis not in self._jogs]:
+        for axis in moving:
+            if axis not in self._jogs and not request.renew:
                 self._begin(axis, _Jog(request.holder, until_ns))
         # All of them before the first order: it may take longer than it is good for, and is renewed on its way.
         jogs = {axis: self._jogs[axis] for axis in moving if axis in self._jogs}

@@ -316,10 +316,9 @@ def _record(text: str) -> Runner:
             raise CommandError(50)
         if not 0 <= exponent <= 8 or (records is not None and not -8000 <= records <= 8000):
             raise CommandError(6)
-        recorder, now = c.machine.recorder, c.machine.now()
+        recorder = c.machine.recorder
         recorder.start(exponent, records, c.machine.timebase.next_sample())
-        if recorder.due <= now:
-            recorder.run(now)
+        recorder.run(c.machine.now())
         return None
 
     return run

@@ -146,7 +146,7 @@ class Machine:
             return
         now = self.now()
         if now < self._timer_sample:
-            return
+            return  # whatever has changed since that was worked out has gone on from there
         if self.recorder.due <= now:
             self.recorder.run(now)
         self.motion.settle(now)

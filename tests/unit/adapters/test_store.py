@@ -5,8 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from adapters.contract import CannotDo
+from adapters.fence import Fence
 from adapters.store import FileStore, Memory, MemoryStore, Remembered
 from orchestrator.clock.disk import Threaded, inline
+from orchestrator.model.messages import Adopt, Reign
 from orchestrator.model.state import EstopLatch
 
 LATCH = EstopLatch(event="e1", actor="anna", reason="a hand in the machine", utc="2026-11-23T04:00:00Z")
@@ -82,5 +85,33 @@ def test_what_has_been_kept_is_not_written_again_and_what_could_not_be_is() -> N
         disk.full = False
         await remembered.keep()
         assert disk.saved == [1, 2] and disk.load().epoch == 2
+
+    asyncio.run(main())
+
+
+def test_who_can_not_keep_the_reign_is_not_adopted() -> None:
+    async def main() -> None:
+        disk = Disk()
+        fence = Fence(Remembered(disk, inline))
+        reign = Reign(
+            fleet="lab",
+            epoch=3,
+            coordinator="c1",
+            seq=1,
+            scale_id="s1",
+            kernel_id="k1",
+            origin_host_ns=0,
+            utc="2026-11-23T04:00:00Z",
+        )
+        adopt = Adopt(request_id="r1", actor="coordinator", epoch=3, coordinator="c1", reign=reign)
+        disk.full = True
+        with pytest.raises(OSError, match="no space"):
+            await fence.adopt(adopt)
+        with pytest.raises(CannotDo):
+            fence.admit(adopt)
+        disk.full = False
+        assert await fence.adopt(adopt)
+        fence.admit(adopt)
+        assert disk.load().epoch == 3
 
     asyncio.run(main())
