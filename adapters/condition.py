@@ -16,8 +16,8 @@ class Condition:
     for their reference now. jogging: axes moved by hand. braked: axes whose motor is on and whose brake is not open
     yet. stopping_until_ns: until when a motion without a step is a stop, host time; stopped_ns: when it was last told
     to stop; stop_unseen: it has not been seen at rest since; begun_by_ns: when what was loaded then would have begun.
-    may_move: its link broke in motion or before one, and nobody has seen it since. restarts: of the controller, as far
-    as polls have shown them."""
+    may_move: nobody has seen it yet, or since its link broke in motion or before one: who was here before may have left
+    it moving. restarts: of the controller, as far as polls have shown them."""
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
@@ -31,7 +31,7 @@ class Condition:
     stopped_ns: int = 0
     stop_unseen: bool = False
     begun_by_ns: int = 0
-    may_move: bool = False
+    may_move: bool = True
     restarts: int = 0
 
     def __post_init__(self) -> None:

@@ -367,22 +367,26 @@ class JobRun:
 
     async def _until_at_rest(self) -> None:
         """Wait until what was stopped, with this job or an earlier reign or hand, has come to the end of its ramp. Who
-        does not answer, or takes longer than it has declared, is not waited for: planning refuses it."""
+        does not answer, or takes longer than it has declared, is waited for only as long as that: planning refuses
+        it."""
         await asyncio.gather(*(self._rests(member) for member in self.members))
 
     async def _rests(self, member: str) -> None:
         works = self._works
+        # The ramps of a step may be gentler than any that its axes can do.
+        stop_ns = works.motion.stops_ns.get(member, 0)
         with suppress(BusError):
-            # The ramps of a step may be gentler than any that its axes can do.
-            stop_ns = max((await works.view.info(member)).costs.stop_ns, works.motion.stops_ns.get(member, 0))
-            until_ns = works.clock.now_ns() + stop_ns + REST_NS
-            while works.clock.now_ns() < until_ns:
+            stop_ns = max(stop_ns, (await works.view.info(member)).costs.stop_ns)
+        until_ns = works.clock.now_ns() + stop_ns + REST_NS
+        while works.clock.now_ns() < until_ns:
+            # Who can not be asked is stopped by others, its guardian or its own watchdog, which takes as long.
+            with suppress(BusError):
                 state = await works.view.fresh(member)
                 # Who has just begun to look for its reference has not been seen to move yet.
                 busy = any(each.moving or each.homing for each in state.axes.values())
                 if state.mode not in ("moving", "stopping") and not busy:
                     return
-                await sleep_ns(works.clock, REST_LOOK_NS)
+            await sleep_ns(works.clock, REST_LOOK_NS)
 
     def _holds_axes(self) -> bool:
         return any(held.holder == self.row.id for held in self._works.leases.held)

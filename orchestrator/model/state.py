@@ -47,7 +47,7 @@ class AxisState(Model):
     user (motor plus `offset`, within one turn where the axis wraps). Jobs speak of user positions; soft limits are
     motor positions.
 
-    position, commanded: user. moving: also while it is out of reach, when its link broke before it was seen at rest.
+    position, commanded: user. moving: also while it is out of reach, unless its link broke after it was seen at rest.
     homing: it looks for its reference now.
     """
 

@@ -311,14 +311,17 @@ def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: 
     run_fleet(main, two_hosts())
 
 
+def gentle_fleet(**units: dict[str, Any]) -> Fleet:
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "gentle", "controllers": units})
+
+
 def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
     """An SMC30 brakes by the ramp of its move, here that of the slow gantry: much longer than at its limits."""
     gantry = sync_fleets.smc4000(0)
     gantry["axes"]["x"]["limits"] = {"velocity": 200, "acceleration": 60}
-    controllers = {"gantry": gantry, "steps": sync_fleets.smc30(0, 1)}
 
     async def main(fleet: VirtualFleet) -> None:
-        await outcome(fleet, job(f"[{{do: enable, axes: {list(controllers)}}}, {{do: home}}]"))
+        await prepared(fleet)
         client = fleet.client()
         step = "[{do: move, to: {gantry.x: 300, steps.x: 15}, speed: 0.5}]"
         first = await client.submit(job(step, max_start_skew="50 ms"))
@@ -335,4 +338,34 @@ def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
         origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
         assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
 
-    run_fleet(main, Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "gentle", "controllers": controllers}))
+    run_fleet(main, gentle_fleet(gantry=gantry, steps=sync_fleets.smc30(0, 1)))
+
+
+@pytest.mark.parametrize("restart_s", [0.2, 1.2])
+def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_brake(
+    monkeypatch: pytest.MonkeyPatch, restart_s: float
+) -> None:
+    """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not met it
+    yet, or there is none."""
+    monkeypatch.setattr("orchestrator.lab.virtual.RESTART_NS", round(restart_s * NS_PER_S))
+    steps = sync_fleets.smc30(0, 1)
+    steps["axes"]["x"]["limits"] = {"velocity": 8, "acceleration": 1}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet)
+        client = fleet.client()
+        rested = await rested_when_leased(fleet, client, "steps")
+        first = await client.submit(job("[{do: move, to: {steps.x: 150}}]", max_start_skew="50 ms"))
+        await fleet.until(lambda states: states["steps"].mode == "moving")
+        await sleep_ns(fleet.clock, 8 * NS_PER_S)
+        fleet.kill("host/local")
+        assert (await client.wait(first)).state == "failed"
+        await sleep_ns(fleet.clock, 3 * NS_PER_S // 2)
+        then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
+        await client.wait(then)
+        stopped = fleet.controllers["steps"].motions[-1]
+        assert stopped.slowing_ns is not None and stopped.end_ns is not None
+        assert stopped.end_ns - stopped.slowing_ns > 4 * NS_PER_S
+        assert rested[then]
+
+    run_fleet(main, gentle_fleet(steps=steps))

@@ -220,7 +220,7 @@ def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did
 ) -> None:
     """What it was told may have been lost with the link; until it is seen again it may move."""
     reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
-    condition = Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS)
+    condition = Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS, may_move=False)
     parts = ("following", "loading", "stop_owed")
     unit = SimpleNamespace(
         controller="c",
