@@ -179,7 +179,10 @@ class FireOrder(Protocol):
 
 
 class Firer(Protocol):
-    """Writes bytes to links at instants, better than an event loop could."""
+    """Writes bytes to links at instants, better than an event loop could. late_us: how late it may be where the fleet
+    file does not say it."""
+
+    late_us: int
 
     def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> FireOrder:
         """Write `data` at host time `at_ns`; not at all if that could only be after `latest_ns`."""

@@ -10,6 +10,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from adapters.contract import Firer, Make, Setup
+from adapters.firing import as_punctual_as
 from adapters.seat import Seat
 from adapters.store import Remembered, Store
 from adapters.unit import Unit
@@ -123,7 +124,7 @@ class AdapterHost:
         async def open_link() -> Link:
             return TracedLink(await open_plain(), line.trace)
 
-        options = make.options.model_validate(config.options)
+        options = as_punctual_as(around.firer, make.options.model_validate(config.options))
         driver = make.driver(Setup(controller, config, options, around.clock, open_link, around.firer, line.shared))
         log = Log("controller", controller, around.clock, around.sink, around.bus, around.keys)
         log.fleet_ns = self._fleet_ns

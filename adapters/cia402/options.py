@@ -1,22 +1,18 @@
 """Options of a CiA 402 drive in the fleet file."""
 
 from fractions import Fraction
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from adapters.firing import FiringOptions, Micro
 from orchestrator.model.base import Rational
 
-Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 
-
-class Options(BaseModel):
+class Options(FiringOptions):
     """What the standards leave open, and what a person has measured.
 
     Times of the start are guaranteed bounds: what the step's budget promises is made of them.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     eds: str | None = Field(
         default=None, description="The drive's EDS file: compared with the drive, and with what the adapter needs."
@@ -56,8 +52,6 @@ class Options(BaseModel):
     answer_ms: int = Field(default=100, ge=10, le=60_000, description="How long an SDO answer may take.")
     boot_ms: int = Field(default=1000, ge=0, le=60_000, description="How long after power-up it does not answer yet.")
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the drive's crystal.")
-    fire_early_us: Micro = Field(default=0, description="How much too early the SYNC may be written.")
-    fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")
     wire_jitter_us: Micro = Field(
         default=1200, description="Longest way of the SYNC to the bus beyond its own time (operating system, USB)."
     )

@@ -1,21 +1,18 @@
 """Options of the pp-electronic SMC in the fleet file."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from adapters.firing import FiringOptions, Micro
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.latency import Latency
 from orchestrator.clock.unread import UnreadClock
 from orchestrator.model.base import Id
 
-Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 
-
-class Options(BaseModel):
+class Options(FiringOptions):
     """What the manual leaves open, and what a person has measured. Times of the start are guaranteed bounds."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     io_port: bool = Field(default=False, description="The i/o port option (8 inputs, 8 outputs) is installed.")
     loop: dict[Id, Literal["open", "closed"]] = Field(
@@ -41,8 +38,6 @@ class Options(BaseModel):
         description="How much faster the unit's crystal is than the host's, measured; learned from moves beyond that.",
     )
     clock_ppm: float = Field(default=100.0, ge=0, le=10_000, description="Largest error of the crystal beside that.")
-    fire_early_us: Micro = Field(default=0, description="How much too early the starting line may be written.")
-    fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")
     wire_jitter_us: Micro = Field(
         default=1000, description="Longest way of the starting line to the unit beyond its characters."
     )

@@ -2,23 +2,21 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from adapters.firing import FiringOptions, Micro
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.latency import Latency
 from orchestrator.clock.unread import UnreadClock
 
-Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 Milliamps = Annotated[int, Field(ge=0, le=12_000)]
 
 
-class Options(BaseModel):
+class Options(FiringOptions):
     """How the unit is set, what the manual leaves open, and what a person has measured.
 
     Times of the start are guaranteed bounds: what the step's budget promises is made of them.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     checksum: bool = Field(default=True, description="DIP switch CHS: every line carries a checksum (L1087).")
     standby_ma: Milliamps = Field(default=1000, description="Standby current of an enabled motor (CS); off is 0.")
@@ -36,8 +34,6 @@ class Options(BaseModel):
     wire_jitter_us: Micro = Field(
         default=1000, description="Longest way of a line to the unit beyond its characters (USB frame)."
     )
-    fire_early_us: Micro = Field(default=0, description="How much too early a starting line may be written.")
-    fire_late_us: Micro = Field(default=200, description="How much too late; later it is not written at all.")
     decode_us: Micro = Field(default=1000, description="Usual time from the end of a line to its effect.")
     decode_spread_us: Micro = Field(default=1000, description="That time is decode_us plus or minus this.")
     line_us: Micro = Field(default=1000, description="The interpreter's time for one program line.")

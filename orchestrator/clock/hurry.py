@@ -46,6 +46,17 @@ def hurry(urgency: Urgency, children: bool = True) -> bool:
     return True
 
 
+def may_hurry(urgency: Urgency) -> bool:
+    """Whether this user may run what is of `urgency` before what is less urgent. Nothing changes."""
+    try:
+        policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(urgency))
+        os.sched_setscheduler(0, policy, before)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
 def step_back(urgency: Urgency) -> None:
     """Let whatever is urgent go before this thread, which is of `urgency`, for a moment; on a running loop."""
     calm()

@@ -187,11 +187,17 @@ class RunningFleet:
         """How often an axis of the controller has begun to move."""
         return sum(entry["event"] == "start" for entry in self.truth(controller))
 
-    def slow_move(self) -> str:
-        """Begin the slow move; its job, when both controllers really move."""
+    def slow_move(self, steps: Steps = SLOW) -> str:
+        """Begin a slow move; its job, when both controllers really move."""
         before = {name: self.starts(name) for name in SLOW_AXES}
-        job_id = self.submit(SLOW)
-        wait_until(lambda: all(self.starts(name) > count for name, count in before.items()), "both move")
+        job_id = self.submit(steps)
+
+        def both_move() -> bool:
+            said = [entry["text"] for entry in self.log("coordinator") if entry.get("job") == job_id]
+            assert not any(text.startswith(("job is failed", "job is aborted")) for text in said), said
+            return all(self.starts(name) > count for name, count in before.items())
+
+        wait_until(both_move, "both move")
         return job_id
 
     def rest_ns(self, controller: str) -> int:

@@ -187,8 +187,7 @@ def test_a_killed_process_stops_everything_and_work_goes_on(shared: RunningFleet
 def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: RunningFleet) -> None:
     bring_back(shared)
     before = {name: shared.starts(name) for name in SLOW_AXES}
-    job_id = shared.submit([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
-    wait_until(lambda: all(shared.starts(name) > count for name, count in before.items()), "both move")
+    job_id = shared.slow_move([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
     killed_ns = shared.kill("orchestrator.bus.router_process")
     took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
     report = shared.wait(job_id)

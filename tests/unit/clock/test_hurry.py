@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from orchestrator.clock.hurry import STEP_BACK_S, Urgency, hurry, step_back
+from orchestrator.clock.hurry import STEP_BACK_S, Urgency, hurry, may_hurry, step_back
 
 
 @pytest.fixture
@@ -37,8 +37,16 @@ def test_a_user_who_may_not_goes_on_without(monkeypatch: pytest.MonkeyPatch, nic
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(os, "nice", niced.append if nice_too else refused)
+    assert not may_hurry(Urgency.FIRING)
+    assert niced == []
     assert not hurry(Urgency.FIRING)
     assert [each < 0 for each in niced] == [True] * nice_too
+
+
+def test_who_asks_whether_it_may_is_as_urgent_as_before(asked: list[tuple[int, int]]) -> None:
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    assert may_hurry(Urgency.FIRING)
+    assert asked == [(os.SCHED_RR, Urgency.FIRING), before]
 
 
 def test_who_steps_back_is_as_urgent_again_a_moment_later(
