@@ -34,6 +34,7 @@ READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
 END_NS = 50 * NS_PER_S  # for the rest of the jobs to end
 LOOK_NS = 200 * NS_PER_MS
 RESTS = 150  # looks at who rests, 7 ms apart
+_VOUCHED_NS = 250 * NS_PER_MS  # a pp-electronic SMC that has its reference installed compares itself, and does not move
 HOMES_SHARE = 0.4  # of what homing is expected to take: within it nearly all of them still look
 HANDS = 0.3  # chance of somebody who jogs meanwhile
 RENEWED_NS = 60 * NS_PER_MS
@@ -391,16 +392,18 @@ class _Play:
         return None
 
     def _homes_in_ns(self, member: str) -> int:
-        """What homing takes at the least: a part of its last one, and of its way from where it stands."""
-        asked = (each for each in self.witness.of("home") if each.member == member)
-        last_ns = [each.answered_ns - each.asked_ns for each in asked if each.answered_ns is not None][-1]
-        where = self._where()
+        """What homing takes at the least: a part of its shortest one so far, and of its way from where it stands."""
+        config, where = self._story.fleet.controllers[member], self._where()
+        if config.adapter == "ppsmc":
+            return _VOUCHED_NS
+        asked = (each for each in self.witness.of("home") if each.member == member and each.taken)
+        shortest_ns = min(each.answered_ns - each.asked_ns for each in asked if each.answered_ns is not None)
         ways_s = (
             abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
-            for name, axis in self._story.fleet.controllers[member].axes.items()
+            for name, axis in config.axes.items()
             if axis.homing.method == "default"
         )
-        return round(HOMES_SHARE * (last_ns + max(ways_s, default=0.0) * NS_PER_S))
+        return round(HOMES_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
 
     def _arms_in_ns(self, member: str) -> int:
         """What its last arming took; before that a tenth of what it says that it takes at the most."""
