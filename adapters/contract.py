@@ -160,9 +160,11 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """A byte that was sent at an instant. late: it would have been after `latest_ns`, and was not sent."""
+    """A byte that was sent at an instant. after_ns: so long after the one that was ordered. late: it would have been
+    after `latest_ns`, and was not sent."""
 
     written_ns: int
+    after_ns: int
     late: bool
 
 

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from adapters.contract import Fired, Firer
+from adapters.contract import DriverFault, Fired, Firer
 from orchestrator.clock.base import Clock, Timer
 from orchestrator.link.base import Link
 
@@ -57,20 +57,30 @@ def fire(order: Order, now_ns: Callable[[], int], write: Callable[[bytes], objec
     """The last step: `at_ns` has come. Never fires late."""
     instant_ns = now_ns()
     if instant_ns > order.latest_ns:
-        return Fired(instant_ns, late=True)
+        return Fired(instant_ns, instant_ns - order.at_ns, late=True)
     write(order.data)
-    return Fired(instant_ns, late=False)
+    return Fired(instant_ns, instant_ns - order.at_ns, late=False)
+
+
+def missed(what: str, link: Link, fired: Fired) -> DriverFault:
+    """What to raise when `what` was not written to `link`, because its instant was past."""
+    return DriverFault(
+        "late",
+        f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms past when the "
+        "process that fires had the processor",
+        "let the host run real-time processes or give it less to do, or allow for more (option fire_late_us)",
+    )
 
 
 class _LoopOrder:
     """An order that waits on the clock."""
 
-    def __init__(self, clock: Clock, link: Link, order: Order) -> None:
+    def __init__(self, clock: Clock, link: Link, order: Order, wake_ns: int) -> None:
         self._fired: asyncio.Future[Fired] = asyncio.get_running_loop().create_future()
         self._clock = clock
         self._link = link
         self._order = order
-        self._timer: Timer = clock.call_at_ns(order.at_ns, self._fire)
+        self._timer: Timer = clock.call_at_ns(order.at_ns + wake_ns, self._fire)
 
     def _fire(self) -> None:
         if not self._fired.done():
@@ -100,4 +110,4 @@ class LoopFirer:
         self._wake_ns = wake_ns
 
     def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _LoopOrder:
-        return _LoopOrder(self._clock, link, Order(data, at_ns + self._wake_ns(), latest_ns))
+        return _LoopOrder(self._clock, link, Order(data, at_ns, latest_ns), self._wake_ns())

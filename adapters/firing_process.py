@@ -16,7 +16,7 @@ import select
 import socket
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import count
 
 from adapters.contract import Fired
@@ -72,7 +72,7 @@ def _fire(control: socket.socket, number: int, pending: _Pending) -> None:
     answer: dict[str, object] = {"id": number}
     try:
         fired = fire(pending.order, raw_ns, lambda data: os.write(pending.fd, data))
-        answer |= {"written_ns": fired.written_ns, "late": fired.late}
+        answer |= asdict(fired)
     except OSError as error:
         answer |= {"error": f"{error.strerror}"}
     finally:
@@ -110,7 +110,7 @@ class _ProcessOrder:
         elif message.get("cancelled"):
             self.fired.cancel()
         elif "written_ns" in message:
-            fired = Fired(int(str(message["written_ns"])), bool(message["late"]))
+            fired = Fired(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
             if not fired.late:
                 self._link.wrote(fired.written_ns, self._data)
             self.fired.set_result(fired)

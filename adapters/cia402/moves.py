@@ -21,6 +21,7 @@ from adapters.cia402.starts import Shot, Starts
 from adapters.cia402.states import State
 from adapters.cia402.stream import COPIES, TAIL
 from adapters.contract import CannotDo, DriverFault, Firer, Outcome, Span
+from adapters.firing import missed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
 from orchestrator.link.base import LinkClosed
 
@@ -288,7 +289,7 @@ class Mover:
             raise DriverFault("not-started", "the order to start was taken back", "")
         if fired.late:
             self._take_back(move)
-            raise DriverFault("late", "the instant to write the SYNC was missed", "check the host's load")
+            raise missed("the SYNC", node.bus.can.link, fired)
         if lowered.drive is not None:
             self._hold(move)
         if lowered.target is None:

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Mapping
 
 from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
+from adapters.firing import missed
 from adapters.ppsmc import loading
 from adapters.ppsmc.ending import Ending
 from adapters.ppsmc.lowering import AxisMove, SmcLowered
@@ -282,7 +283,7 @@ class Mover:
         if fired.late:
             if move.pending is not None:
                 self._session.forget(move.pending)
-            raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
+            raise missed("the starting line", self._session.link, fired)
         return fired
 
     async def _require_edge(self, move: Move, output: DrivenOutput, pending: Pending) -> None:

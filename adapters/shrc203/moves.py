@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Mapping
 
 from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
+from adapters.firing import missed
 from adapters.shrc203.axes import letter
 from adapters.shrc203.ending import Ending
 from adapters.shrc203.loaded import Move
@@ -247,7 +248,7 @@ class Mover:
                 if pending is not None:
                     self._session.forget(pending)
             self._session.owe_nothing()
-            raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
+            raise missed("the starting line", self._session.link, fired)
         return fired
 
     async def _host_start(self, move: Move, written_ns: int) -> Span:

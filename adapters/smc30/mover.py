@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
+from adapters.firing import missed
 from adapters.smc30.line import Shot
 from adapters.smc30.lowering import LINES_BEFORE, Slots, SmcLowered
 from adapters.smc30.options import Options
@@ -215,7 +216,7 @@ class Mover:
         if fired.late:
             session.line.release(move.shot)
             move.running = False
-            raise DriverFault("late", "the instant to write the starting line was missed", "check the host's load")
+            raise missed("the starting line", session.line.link, fired)
         reply = await move.shot.heard
         at_unit_ns = move.arrived_ns = fired.written_ns + move.shot.wire_ns
         least_ns, most_ns = move.lowered.program_ns
