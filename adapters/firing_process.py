@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from itertools import count
 
 from adapters.contract import Fired
-from adapters.firing import ORDINARY_US, PUNCTUAL_US, Order, fire
+from adapters.firing import ORDINARY_US, URGENT_US, Order, fire
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.hurry import Urgency, hurry, may_hurry
 from orchestrator.clock.live import begin_live, raw_ns
@@ -120,7 +120,7 @@ class ProcessFirer:
     """The parent's side: starts the firing process and hands it orders. Needs a running asyncio loop."""
 
     def __init__(self) -> None:
-        self.late_us = PUNCTUAL_US if may_hurry(Urgency.FIRING) else ORDINARY_US
+        self.late_us = URGENT_US if may_hurry(Urgency.FIRING) else ORDINARY_US
         self._control, child = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "adapters.firing_process", str(child.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[child.fileno()], stdin=subprocess.DEVNULL)
