@@ -1,4 +1,5 @@
-"""Bytes that are written at an instant: the order, the last step that all firers share, and the firer of a loop.
+"""Bytes that are written at an instant: how late they may be, the order, the last step that all firers share, and the
+firer of a loop.
 
 Live, a process of its own fires (`adapters.firing_process`): beside a busy event loop even a thread is late by
 milliseconds. In virtual time the loop is exact, so it fires itself, through the same last step.
@@ -12,8 +13,9 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from adapters.contract import DriverFault, Fired, Firer
-from orchestrator.clock.base import Clock, Timer
+from orchestrator.clock.base import NS_PER_US, Clock, Timer
 from orchestrator.link.base import Link
+from orchestrator.model.messages import Term
 
 Micro = Annotated[int, Field(ge=0, le=1_000_000)]
 
@@ -35,9 +37,14 @@ class FiringOptions(BaseModel):
     fire_early_us: Micro = Field(default=0, description="How much too early what starts a move may be written.")
     fire_late_us: Micro = Field(
         default=PUNCTUAL_US,
-        description="How much too late; later it is not written at all. Without it 1000 on a live host, and 5000 on "
-        "one that may not run real-time processes.",
+        description=f"How much too late; later it is not written at all. Without it {URGENT_US} on a live host, and "
+        f"{ORDINARY_US} on one that may not run real-time processes.",
     )
+
+    def host_term(self) -> Term:
+        """What the host adds to where a start lies about T0."""
+        early_ns, late_ns = self.fire_early_us * NS_PER_US, self.fire_late_us * NS_PER_US
+        return Term(name="host", earliest_ns=-early_ns, latest_ns=late_ns)
 
 
 def as_punctual_as(firer: Firer, options: BaseModel) -> BaseModel:
@@ -59,10 +66,10 @@ class Order:
 def fire(order: Order, now_ns: Callable[[], int], write: Callable[[bytes], object]) -> Fired:
     """The last step: `at_ns` has come. Never fires late."""
     instant_ns = now_ns()
-    if instant_ns > order.latest_ns:
-        return Fired(instant_ns, instant_ns - order.at_ns, late=True)
-    write(order.data)
-    return Fired(instant_ns, instant_ns - order.at_ns, late=False)
+    late = instant_ns > order.latest_ns
+    if not late:
+        write(order.data)
+    return Fired(instant_ns, instant_ns - order.at_ns, late)
 
 
 def missed(what: str, link: Link, fired: Fired) -> DriverFault:

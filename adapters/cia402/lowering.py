@@ -197,7 +197,7 @@ def _terms(options: Options, bus: BusTimes) -> tuple[Term, ...]:
     early_ns = min(options.start_spread_us, options.start_us) * NS_PER_US
     shortest_ns = sync_ns(bus.bitrate) // 2  # it may have no stuff bits
     return (
-        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        options.host_term(),
         Term(
             name="wire",
             earliest_ns=-shortest_ns,

@@ -94,7 +94,7 @@ def edge_terms(options: Options, start: Latency) -> tuple[Term, ...]:
 
 def _sent(options: Options) -> tuple[Term, ...]:
     return (
-        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        options.host_term(),
         Term(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
     )
 

@@ -83,7 +83,7 @@ def edge_terms(options: Options, lead_ns: int, behind_ns: int) -> tuple[Term, ..
         slow_ns += max(behind_ns, slow_ns)
         quick_ns += max(behind_ns, quick_ns)
     return (
-        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        options.host_term(),
         Term(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
         Term(name="firmware", earliest_ns=quick_ns - lead_ns, latest_ns=slow_ns - lead_ns),
     )

@@ -200,7 +200,7 @@ def terms(options: Options, start: Latency) -> tuple[Term, ...]:
     jitter_ns = options.wire_jitter_us * NS_PER_US
     first_ns, last_ns = start.earliest_ns - start.usual_ns, start.latest_ns - jitter_ns - start.usual_ns
     return (
-        Term(name="host", earliest_ns=-options.fire_early_us * NS_PER_US, latest_ns=options.fire_late_us * NS_PER_US),
+        options.host_term(),
         Term(name="wire", earliest_ns=0, latest_ns=jitter_ns),
         Term(name="firmware", earliest_ns=first_ns, latest_ns=last_ns),
     )

@@ -203,7 +203,7 @@ def _host_terms(options: Options, schedule: Slots, start: Latency, lines_after: 
     first_ns = start.earliest_ns - start.usual_ns + (after_us - spread_us) * NS_PER_US
     last_ns = start.latest_ns - start.usual_ns + (after_us + spread_us - options.wire_jitter_us) * NS_PER_US
     return (
-        _term("host", options.fire_early_us, options.fire_late_us),
+        options.host_term(),
         _term("wire", 0, options.wire_jitter_us),
         Term(name="firmware", earliest_ns=first_ns - slow_ns, latest_ns=last_ns + slow_ns),
     )
@@ -218,7 +218,7 @@ def _line_terms(options: Options, wait: LineWait) -> tuple[Term, ...]:
     )
 
 
-def _term(name: Literal["host", "wire", "firmware", "input"], early_us: int, late_us: int) -> Term:
+def _term(name: Literal["wire", "firmware", "input"], early_us: int, late_us: int) -> Term:
     return Term(name=name, earliest_ns=-early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
 
 

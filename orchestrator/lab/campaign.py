@@ -393,11 +393,12 @@ class _Play:
 
     def _homes_in_ns(self, member: str) -> int:
         """What homing takes at the least: a part of its shortest one so far, and of its way from where it stands."""
-        config, where = self._story.fleet.controllers[member], self._where()
+        config = self._story.fleet.controllers[member]
         if config.adapter == "ppsmc":
             return _VOUCHED_NS
         asked = (each for each in self.witness.of("home") if each.member == member and each.taken)
         shortest_ns = min(each.answered_ns - each.asked_ns for each in asked if each.answered_ns is not None)
+        where = self._where()
         ways_s = (
             abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
             for name, axis in config.axes.items()
