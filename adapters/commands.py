@@ -138,7 +138,7 @@ class Commands:
     ) -> bytes:
         try:
             if isinstance(request, Fenced) and not isinstance(request, Adopt):
-                self._fence.admit(request)
+                await self._fence.admit(request)
             return (await handler(request)).to_json()
         except CannotDo as error:
             refusal = error.refusal

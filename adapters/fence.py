@@ -1,5 +1,7 @@
 """Who may command a controller: epochs of coordinators, and the e-stop latch. Kept over the adapter's own death."""
 
+import asyncio
+
 from adapters.contract import CannotDo
 from adapters.store import Remembered
 from orchestrator.model.messages import Adopt, Fenced
@@ -15,6 +17,7 @@ class Fence:
     def __init__(self, remembered: Remembered) -> None:
         self._remembered = remembered
         self._adopted = False
+        self._adopting = asyncio.Lock()
 
     @property
     def epoch(self) -> int:
@@ -27,29 +30,37 @@ class Fence:
 
     async def adopt(self, request: Adopt) -> bool:
         """Take the coordinator of `request`; True when it is another reign than before. Raises `CannotDo`,
-        `OSError`."""
-        known = self._remembered.now
-        if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
-            raise CannotDo(
-                "stale-epoch",
-                f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch {known.epoch} "
-                f"of {known.coordinator[:8]} has been seen",
-                "stop the old coordinator",
-            )
-        changed = (request.epoch, request.coordinator) != (known.epoch, known.coordinator)
-        if changed:
-            self._remembered.change(epoch=request.epoch, coordinator=request.coordinator)
-        await self.keep()
-        fresh, self._adopted = not self._adopted, True
-        return changed or fresh
+        `OSError`. Whoever asks for something in that reign meanwhile waits: what the caller drops because of it are the
+        leases of the one before."""
+        async with self._adopting:
+            known = self._remembered.now
+            if self._is_over(request):
+                raise CannotDo(
+                    "stale-epoch",
+                    f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch {known.epoch} "
+                    f"of {known.coordinator[:8]} has been seen",
+                    "stop the old coordinator",
+                )
+            if (request.epoch, request.coordinator) != (known.epoch, known.coordinator):
+                self._remembered.change(epoch=request.epoch, coordinator=request.coordinator)
+                self._adopted = False
+            await self.keep()
+            fresh, self._adopted = not self._adopted, True
+            return fresh
 
-    def admit(self, request: Fenced) -> None:
+    async def admit(self, request: Fenced) -> None:
         """Raises `CannotDo` unless `request` comes from the coordinator that adopted this controller."""
+        async with self._adopting:
+            known = self._remembered.now
+            if self._is_over(request):
+                raise CannotDo("stale-epoch", f"epoch {request.epoch} is over; epoch {known.epoch} rules", "")
+            if not self._adopted or request.epoch > known.epoch:
+                raise CannotDo("not-adopted", "the controller has not been adopted in this reign", "adopt it first")
+
+    def _is_over(self, request: Fenced) -> bool:
         known = self._remembered.now
-        if request.epoch < known.epoch or (request.epoch == known.epoch and request.coordinator != known.coordinator):
-            raise CannotDo("stale-epoch", f"epoch {request.epoch} is over; epoch {known.epoch} rules", "")
-        if not self._adopted or request.epoch > known.epoch:
-            raise CannotDo("not-adopted", "the controller has not been adopted in this reign", "adopt it first")
+        other = request.coordinator != known.coordinator
+        return request.epoch < known.epoch or (request.epoch == known.epoch and other)
 
     def require_no_estop(self) -> None:
         """Raises `CannotDo` while an e-stop is latched."""

@@ -1,7 +1,9 @@
 """What an adapter remembers over its own death."""
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -89,29 +91,63 @@ def test_what_has_been_kept_is_not_written_again_and_what_could_not_be_is() -> N
     asyncio.run(main())
 
 
-def test_who_can_not_keep_the_reign_is_not_adopted() -> None:
+def adoption(epoch: int) -> Adopt:
+    reign = Reign(
+        fleet="lab",
+        epoch=epoch,
+        coordinator="c1",
+        seq=1,
+        scale_id="s1",
+        kernel_id="k1",
+        origin_host_ns=0,
+        utc="2026-11-23T04:00:00Z",
+    )
+    return Adopt(request_id=f"r{epoch}", actor="coordinator", epoch=epoch, coordinator="c1", reign=reign)
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_who_can_not_keep_the_reign_is_not_adopted(before: bool) -> None:
+    """Neither at first, nor when an earlier one was: what that has left is still to be dropped."""
+
     async def main() -> None:
         disk = Disk()
         fence = Fence(Remembered(disk, inline))
-        reign = Reign(
-            fleet="lab",
-            epoch=3,
-            coordinator="c1",
-            seq=1,
-            scale_id="s1",
-            kernel_id="k1",
-            origin_host_ns=0,
-            utc="2026-11-23T04:00:00Z",
-        )
-        adopt = Adopt(request_id="r1", actor="coordinator", epoch=3, coordinator="c1", reign=reign)
+        if before:
+            assert await fence.adopt(adoption(2))
+        adopt = adoption(3)
         disk.full = True
         with pytest.raises(OSError, match="no space"):
             await fence.adopt(adopt)
         with pytest.raises(CannotDo):
-            fence.admit(adopt)
+            await fence.admit(adopt)
         disk.full = False
         assert await fence.adopt(adopt)
-        fence.admit(adopt)
+        await fence.admit(adopt)
         assert disk.load().epoch == 3
+
+    asyncio.run(main())
+
+
+def test_who_asks_while_a_reign_is_being_kept_waits_until_what_was_before_is_dropped() -> None:
+    async def main() -> None:
+        done: list[str] = []
+
+        async def slowly(work: Callable[..., Any], *values: Any) -> Any:
+            await asyncio.sleep(0.01)
+            return work(*values)
+
+        fence = Fence(Remembered(Disk(), slowly))
+
+        async def adopts() -> None:
+            assert await fence.adopt(adoption(2))
+            done.append("dropped")
+
+        async def asks() -> None:
+            await fence.admit(adoption(2))
+            done.append("leased")
+
+        await fence.adopt(adoption(1))
+        await asyncio.gather(adopts(), asks(), asks())
+        assert done == ["dropped", "leased", "leased"]
 
     asyncio.run(main())
