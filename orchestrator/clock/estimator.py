@@ -12,7 +12,6 @@ gives a bound, and bytes that a USB adapter holds back draw them aside.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +30,7 @@ _GRID = 48
 _ZOOMS = 3
 
 _Floats = NDArray[np.float64]
+_Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +84,15 @@ class TickEstimator:
     def __init__(self, nominal_tick_ns: float, late_ns: int = 0) -> None:
         self._nominal_tick_ns = nominal_tick_ns
         self._late_ns = late_ns
-        self._samples: deque[Sample] = deque(maxlen=KEPT)
+        # Columns: sent_ns, received_ns, ticks; the newest is the last of `_count`.
+        self._kept: _Ints = np.empty((KEPT, 3), dtype=np.int64)
+        self._count = 0
+        self._last: Sample | None = None
 
     def add(self, sample: Sample) -> bool:
         """Take a reading. False when the counter has gone back or jumped: everything learned before is dropped."""
-        last = self._samples[-1] if self._samples else None
-        self._samples.append(sample)
+        last = self._last
+        self._keep(sample)
         if last is None:
             return True
         elapsed_ns = (sample.ticks - last.ticks) * self._nominal_tick_ns
@@ -98,25 +101,26 @@ class TickEstimator:
         slack_ns = 2 * self._nominal_tick_ns + longest_ns * MAX_PPM * 1e-6
         if shortest_ns - slack_ns <= elapsed_ns <= longest_ns + slack_ns:
             return True
-        self._samples.clear()
-        self._samples.append(sample)
+        self.forget()
+        self._keep(sample)
         return False
 
     def forget(self) -> None:
         """Start anew, e.g. after the controller was reset."""
-        self._samples.clear()
+        self._count, self._last = 0, None
 
     def mapping(self) -> TickMapping | None:
         """The mapping that the readings give now, or None without any."""
-        if not self._samples:
+        last, nominal = self._last, self._nominal_tick_ns
+        if last is None:
             return None
-        last, nominal = self._samples[-1], self._nominal_tick_ns
-        gates = _Gates(list(self._samples), nominal)
+        samples = self._kept[: self._count]
+        gates = _Gates(samples, nominal)
         lines = gates.lines()
         consistent = lines is not None
         if lines is None:
             # Outside the model (a delay that nothing allows for, a crystal beyond MAX_PPM): the last reading alone.
-            gates = _Gates([last], nominal)
+            gates = _Gates(samples[-1:], nominal)
             lines = gates.lines()
             assert lines is not None
         # Half the usual lateness is moved to, but never out of what is possible, nor out of the bound.
@@ -130,10 +134,18 @@ class TickEstimator:
             residual_ns=round(gates.residual_ns(offset_ns, lines.rate)),
             bound_ns=math.ceil(lines.bound_ns + abs(offset_ns - lines.offset_ns)) + 1,
             drift_ppm=lines.rate_bound * 1e6 + AHEAD_PPM,
-            samples=len(self._samples),
-            min_rtt_ns=min(sample.received_ns - sample.sent_ns for sample in self._samples),
+            samples=self._count,
+            min_rtt_ns=int((samples[:, 1] - samples[:, 0]).min()),
             consistent=consistent,
         )
+
+    def _keep(self, sample: Sample) -> None:
+        if self._count == KEPT:
+            self._kept[:-1] = self._kept[1:].copy()
+            self._count -= 1
+        self._kept[self._count] = sample.sent_ns, sample.received_ns, sample.ticks
+        self._count += 1
+        self._last = sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,19 +162,23 @@ class _Lines:
 
 
 class _Gates:
-    """The readings, seen from the last one: ages in nominal ns of the counter (0 or less), gates in host ns."""
+    """The readings, seen from the last one: ages in nominal ns of the counter (0 or less), gates in host ns.
 
-    def __init__(self, samples: list[Sample], nominal_tick_ns: float) -> None:
-        last = samples[-1]
-        self._ages: _Floats = np.array([(each.ticks - last.ticks) * nominal_tick_ns for each in samples])
+    Of the hundreds of gates, straight lines can touch only those on a hull: some tens decide, and only they are asked.
+    """
+
+    def __init__(self, samples: _Ints, nominal_tick_ns: float) -> None:
+        sent_ns, received_ns, ticks = (samples - (samples[-1, 0], samples[-1, 0], samples[-1, 2])).T
+        self._ages: _Floats = ticks * nominal_tick_ns
         # How far a line may be off a reading of this age, by wander alone: the integral of a random walk.
         wander_ns = SURE * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9
-        sent: _Floats = np.array([float(each.sent_ns - last.sent_ns) for each in samples])
-        received: _Floats = np.array([float(each.received_ns - last.sent_ns) for each in samples])
         # The tick of a counter that runs slow is longer.
         tick_ns = nominal_tick_ns * (1.0 + MAX_PPM * 1e-6)
-        self._low: _Floats = sent - self._ages - tick_ns - wander_ns
-        self._high: _Floats = received - self._ages + wander_ns
+        self._low: _Floats = sent_ns - self._ages - tick_ns - wander_ns
+        self._high: _Floats = received_ns - self._ages + wander_ns
+        floor, ceiling = upper_hull(self._ages, self._low), upper_hull(self._ages, -self._high)
+        self._floor = self._ages[floor], self._low[floor]
+        self._ceiling = self._ages[ceiling], self._high[ceiling]
 
     def lines(self) -> _Lines | None:
         """All lines through the gates; None when there is none."""
@@ -194,8 +210,8 @@ class _Gates:
 
     def _gap(self, rates: _Floats) -> tuple[_Floats, _Floats]:
         """For each rate, between which offsets a line goes through all gates."""
-        turned = np.outer(rates, self._ages)
-        return (self._low - turned).max(axis=1), (self._high - turned).min(axis=1)
+        (low_ages, low), (high_ages, high) = self._floor, self._ceiling
+        return (low - np.outer(rates, low_ages)).max(axis=1), (high - np.outer(rates, high_ages)).min(axis=1)
 
     def _edge(self, inside: float, outside: float) -> float:
         """The last rate on the way from `inside` to `outside` at which a line goes through all gates."""
@@ -208,3 +224,16 @@ class _Gates:
                 return outside
             inside, outside = float(rates[last]), float(rates[last + 1])
         return outside
+
+
+def upper_hull(ages: _Floats, values: _Floats) -> _Ints:
+    """The points that a straight line from above can touch, by index; a few more do no harm."""
+    kept: _Ints = np.argsort(ages, kind="stable")
+    while len(kept) > 2:
+        x, y = ages[kept], values[kept]
+        # Who is below the line between its neighbours is no corner, whoever else is none.
+        below = (x[1:-1] - x[:-2]) * (y[2:] - y[:-2]) > (x[2:] - x[:-2]) * (y[1:-1] - y[:-2])
+        if not below.any():
+            break
+        kept = kept[np.concatenate(([True], ~below, [True]))]
+    return kept

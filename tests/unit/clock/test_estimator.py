@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from random import Random
 
+import numpy as np
 import pytest
 
-from orchestrator.clock.estimator import Sample, TickEstimator
+from orchestrator.clock.estimator import Sample, TickEstimator, upper_hull
 from sim.core.oscillator import Oscillator
 
 TICK_NS = 1e9 / 1024
@@ -130,3 +131,14 @@ def test_a_host_that_slept_believes_its_old_readings_less() -> None:
     error_ns, bound_ns = error_and_bound(estimator, crystal, woken_ns + 10**9)
     assert error_ns <= bound_ns
     assert mapping.bound_ns > before.bound_ns
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_gates_that_are_asked_decide_as_all_of_them_would(seed: int) -> None:
+    rng = Random(seed)
+    ages = np.sort(np.array([-rng.choice([rng.uniform(0, 3e11), rng.randrange(300) * 1e9]) for _ in range(200)]))
+    values = np.array([rng.gauss(0, 1e5) for _ in ages]) - np.abs(ages) ** 1.5 * 1e-12
+    hull = upper_hull(ages, values)
+    assert len(hull) < len(ages) / 4
+    for rate in np.linspace(-1e-4, 1e-4, 101):
+        assert (values[hull] - rate * ages[hull]).max() == (values - rate * ages).max()
