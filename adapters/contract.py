@@ -142,11 +142,12 @@ class JogMove:
 @dataclass(frozen=True, slots=True)
 class Span:
     """A host instant known as an interval, ends included. seen: the controller has shown that it came; else that is
-    taken from its promise, and only the end will tell."""
+    taken from its promise, and only the end will tell. late_ns: so much later than promised was a start given."""
 
     earliest_ns: int
     latest_ns: int
     seen: bool = True
+    late_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,8 +284,11 @@ class Driver(ABC):
         """Just before the promise: still armed, still where the plan starts. Raises `CannotDo`."""
 
     @abstractmethod
-    async def go(self) -> None:
-        """Open the gate: the armed move starts at its instant. Raises `CannotDo` (code `late`) when that is past."""
+    async def go(self, slack_ns: int = 0) -> None:
+        """Open the gate: the armed move starts at its instant. Raises `CannotDo` (code `late`) when that is past.
+
+        slack_ns: who is started by the host may be started so much later than its options promise.
+        """
 
     @abstractmethod
     async def disarm(self) -> None:

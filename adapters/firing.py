@@ -37,14 +37,23 @@ class FiringOptions(BaseModel):
     fire_early_us: Micro = Field(default=0, description="How much too early what starts a move may be written.")
     fire_late_us: Micro = Field(
         default=PUNCTUAL_US,
-        description=f"How much too late; later it is not written at all. Without it {URGENT_US} on a live host, and "
-        f"{ORDINARY_US} on one that may not run real-time processes.",
+        description=f"How much too late. Later it is written only if the job allows for more than all members promise, "
+        f"and said so. Without it {URGENT_US} on a live host, and {ORDINARY_US} on one that may not run real-time "
+        "processes.",
     )
 
     def host_term(self) -> Term:
         """What the host adds to where a start lies about T0."""
         early_ns, late_ns = self.fire_early_us * NS_PER_US, self.fire_late_us * NS_PER_US
         return Term(name="host", earliest_ns=-early_ns, latest_ns=late_ns)
+
+    def latest_ns(self, at_ns: int, slack_ns: int) -> int:
+        """Until when what is due at `at_ns` may be written, if the step can bear `slack_ns` more than is promised."""
+        return at_ns + self.fire_late_us * NS_PER_US + slack_ns
+
+    def beyond_ns(self, fired: Fired) -> int:
+        """How much later than promised it was written."""
+        return max(0, fired.after_ns - self.fire_late_us * NS_PER_US)
 
 
 def as_punctual_as(firer: Firer, options: BaseModel) -> BaseModel:
@@ -78,7 +87,7 @@ def missed(what: str, link: Link, fired: Fired) -> DriverFault:
         "late",
         f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms past when the "
         "process that fires had the processor",
-        "let the host run real-time processes or give it less to do, or allow for more (option fire_late_us)",
+        "let the host run real-time processes or give it less to do, or allow for more (`max_start_skew` of the job)",
     )
 
 

@@ -174,7 +174,7 @@ class Member:
             self.ticket = released = replace(ticket, phase=Phase.RELEASED)
             interruptions = self._interruptions
             try:
-                await self._driver.go()
+                await self._driver.go(request.slack_ns)
             except (CannotDo, DriverFault):
                 self.ticket = None
                 # It may have been released all the same: what was only not answered must not run either.
@@ -317,9 +317,11 @@ class Member:
                     await self._driver.outcome()  # stopped just then, and not over before somebody has seen it rest
                 return
             moving = self.ticket = replace(ticket, phase=Phase.MOVING)
-            evidence = {axis: AxisEvidence(start=_interval(span, ticket.scale)) for axis, span in started.items()}
+            evidence = {axis: _started(span, ticket.scale) for axis, span in started.items()}
             unseen = {axis for axis, span in started.items() if not span.seen}
-            self._emit("started", "started", moving, _without(evidence, unseen))
+            late_ns = max((span.late_ns for span in started.values()), default=0)
+            text = f"started, {late_ns / 1e6:.1f} ms later than this host promises" if late_ns else "started"
+            self._emit("started", text, moving, _without(evidence, unseen))
             outcome = await self._driver.outcome()
             # Who hears of the end plans the next step from the state: it must be that after the move.
             settled = await self._settle(ticket.axes if outcome.state == "done" else ())
@@ -338,11 +340,8 @@ class Member:
         self.ticket = None
         for axis, span in outcome.ended.items():
             if axis in evidence:
-                evidence[axis] = AxisEvidence(
-                    start=evidence[axis].start,
-                    end=_interval(span, ticket.scale),
-                    settled_s=settled.settled_s.get(axis),
-                )
+                ended = {"end": _interval(span, ticket.scale), "settled_s": settled.settled_s.get(axis)}
+                evidence[axis] = evidence[axis].model_copy(update=ended)
         if outcome.state != "done":
             evidence = _without(evidence, unseen)
         kind = "failed" if settled.reason else _KIND_OF_END[outcome.state]
@@ -354,6 +353,10 @@ _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fau
 
 def _without(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
     return {axis: each for axis, each in evidence.items() if axis not in axes}
+
+
+def _started(span: Span, scale: FleetScale) -> AxisEvidence:
+    return AxisEvidence(start=_interval(span, scale), late_ns=span.late_ns)
 
 
 def _interval(span: Span, scale: FleetScale) -> Interval:

@@ -180,8 +180,9 @@ class Mover:
             if node.mode != move.lowered.mode:
                 raise CannotDo("not-loaded", f"{node.name} shows mode {node.mode} of operation", "arm again")
 
-    async def go(self) -> None:
-        """Have what starts wait in the drive for the SYNC, and the SYNC written so that the motion is at T0."""
+    async def go(self, slack_ns: int) -> None:
+        """Have what starts wait in the drive for the SYNC, and the SYNC written so that the motion is at T0, or
+        `slack_ns` later than promised: but not before a stream, whose later SYNCs have their own instants."""
         move, node = self._require(), self._node
         lowered = move.lowered
         if lowered.target is None and lowered.drive is None:
@@ -205,7 +206,7 @@ class Mover:
         elif node.followed == o.TARGET and lowered.target is not None:
             # The SYNC takes what waits there, too: not an older position.
             frames.append(node.position(lowered.target))
-        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        latest_ns = self._options.latest_ns(at_ns, slack_ns if move.shot.stream is None else 0)
         self._starts.load(node.number, move.shot, frames, self._firer, at_ns, latest_ns)
 
     async def disarm(self) -> None:
@@ -314,8 +315,7 @@ class Mover:
         if taken_ns():
             # It does not say that it moves already.
             latest_ns = max(earliest_ns, min(latest_ns, taken_ns() + self._after_taking_ns))
-        span = Span(earliest_ns, latest_ns)
-        move.started = span
+        span = move.started = Span(earliest_ns, latest_ns, late_ns=self._options.beyond_ns(fired))
         if move.stopped_ns is None and move.ride is None:
             node.order(states.ENABLE)
         return dict.fromkeys(names, span)

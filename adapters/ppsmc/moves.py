@@ -111,9 +111,9 @@ class Mover:
         elif lowered.moves:
             loading.require_targets(self._unit, lowered, heard.one(ASK_TARGETS))
 
-    async def go(self) -> None:
+    async def go(self, slack_ns: int) -> None:
         """Start the program that waits for the line; have the starting line, or the one that switches an output,
-        written so that it is executed at T0. Raises `CannotDo`."""
+        written so that it is executed at T0, or `slack_ns` later than promised. Raises `CannotDo`."""
         move = self._require()
         if move.waits:
             await self._begin_wait(move)
@@ -127,7 +127,7 @@ class Mover:
             async with self._session.alone():
                 if self.move is not move:
                     raise CannotDo("stopped", "a stop came before the start", "")
-                self._schedule(move, line)
+                self._schedule(move, line, slack_ns)
         move.released = True
 
     async def _begin_wait(self, move: Move) -> None:
@@ -155,9 +155,9 @@ class Mover:
                 "free all axes of the unit from their limit switches, or set `iel1` there",
             )
 
-    def _schedule(self, move: Move, line: str) -> None:
+    def _schedule(self, move: Move, line: str, slack_ns: int) -> None:
         at_ns = move.t0_ns - self._session.wire_ns(len(line + EOL)) - move.lowered.lead_ns
-        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        latest_ns = self._options.latest_ns(at_ns, slack_ns)
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
         queries: list[Query] = [ASK_STATUS, ASK_POSITIONS]
@@ -263,7 +263,7 @@ class Mover:
         if move.waits:
             start = await self._line_start(move)
         elif fired is not None and move.lowered.moves:
-            start = await self._host_start(move, fired.written_ns)
+            start = await self._host_start(move, fired)
         else:
             start = Span(move.t0_ns, move.t0_ns)
         if move.output is not None and move.pending is not None:
@@ -284,6 +284,7 @@ class Mover:
             if move.pending is not None:
                 self._session.forget(move.pending)
             raise missed("the starting line", self._session.link, fired)
+        self._session.end_quiet()
         return fired
 
     async def _require_edge(self, move: Move, output: DrivenOutput, pending: Pending) -> None:
@@ -295,10 +296,10 @@ class Mover:
         if move.stopped_ns is None:
             output.require_switched(int(heard.text(ASK_OUTPUTS)))
 
-    async def _host_start(self, move: Move, written_ns: int) -> Span:
+    async def _host_start(self, move: Move, fired: Fired) -> Span:
         assert move.pending is not None
         quick_ns = self._options.decode_ns[0]
-        earliest_ns = written_ns + self._session.wire_ns(len(move.start_line) + len(EOL)) + quick_ns
+        earliest_ns = fired.written_ns + self._session.wire_ns(len(move.start_line) + len(EOL)) + quick_ns
         try:
             heard = await asyncio.shield(move.pending.answered)
         except DriverFault:
@@ -319,7 +320,7 @@ class Mover:
             look = await self._unit.look()
             answered_ns = look.at_ns
         latest_ns = answered_ns - quick_ns + self._options.start_skew_us * NS_PER_US
-        return Span(min(earliest_ns, latest_ns), latest_ns)
+        return Span(min(earliest_ns, latest_ns), latest_ns, late_ns=self._options.beyond_ns(fired))
 
     @staticmethod
     def _unit_moves(look: Look, move: AxisMove, by_status: bool = False) -> bool:

@@ -113,23 +113,24 @@ class Mover:
         else:
             self._compare(move, await self._unit.buffers.moves())
 
-    async def go(self) -> None:
+    async def go(self, slack_ns: int) -> None:
         """Have the starting line, or the one that switches the output, written so that its end is at the unit
-        `lead_ns` before T0; both are written at once. Axes that wait for an input need nothing more."""
+        `lead_ns` before T0, or `slack_ns` later than promised; both are written at once. Axes that wait for an input
+        need nothing more."""
         move = self._require()
         lines = [move.lowered.start] if move.lowered.moves and not move.waits else []
         if move.output is not None:
             lines.append(move.output.on)
         if lines:
-            self._schedule(move, lines)
+            self._schedule(move, lines, slack_ns)
         if move.lowered.moves:
             self._session.owe(move.motors, before=(each.motor for each in move.lowered.seconds))
         move.released = True
 
-    def _schedule(self, move: Move, lines: list[str]) -> None:
+    def _schedule(self, move: Move, lines: list[str], slack_ns: int) -> None:
         data = "".join(line + EOL for line in lines).encode()
         at_ns = move.t0_ns - self._session.wire_ns(len(lines[0] + EOL)) - move.lowered.lead_ns
-        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        latest_ns = self._options.latest_ns(at_ns, slack_ns)
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
         self._session.keep_quiet(latest_ns, at_ns)
@@ -226,7 +227,7 @@ class Mover:
         if move.waits:
             start = await self._line_start(move)
         elif fired is not None and move.pending is not None:
-            start = await self._host_start(move, fired.written_ns)
+            start = await self._host_start(move, fired)
         else:
             start = Span(move.t0_ns, move.t0_ns)
         if move.output is not None:
@@ -249,11 +250,12 @@ class Mover:
                     self._session.forget(pending)
             self._session.owe_nothing()
             raise missed("the starting line", self._session.link, fired)
+        self._session.end_quiet()
         return fired
 
-    async def _host_start(self, move: Move, written_ns: int) -> Span:
+    async def _host_start(self, move: Move, fired: Fired) -> Span:
         assert move.pending is not None and move.pending.reply is not None
-        earliest_ns = written_ns + self._session.wire_ns(len(move.lowered.start) + len(EOL))
+        earliest_ns = fired.written_ns + self._session.wire_ns(len(move.lowered.start) + len(EOL))
         try:
             line = await move.pending.reply
         except DriverFault as error:
@@ -266,7 +268,7 @@ class Mover:
                 )
             latest_ns = move.answered_ns = line.at_ns - self._session.wire_ns(_OK_CHARACTERS)
         latest_ns += self._options.start_after_ok_us * NS_PER_US
-        return Span(min(earliest_ns, latest_ns), latest_ns)
+        return Span(min(earliest_ns, latest_ns), latest_ns, late_ns=self._options.beyond_ns(fired))
 
     async def _line_start(self, move: Move) -> Span:
         """When the input has started the axes: within the window that the terms give, and between the last question

@@ -31,6 +31,7 @@ class Disturbed(Exception):
 class Shot:
     """A slot for one line that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after that.
 
+    late_ns: how much later than promised it may be written, and once it was, has been.
     heard: its answer; None: none has come, or nobody knows which one is its.
     """
 
@@ -38,6 +39,7 @@ class Shot:
     begin_ns: int
     wire_ns: int
     each_ns: int
+    late_ns: int = 0
     heard: "asyncio.Future[Reply | None]" = field(
         default_factory=lambda: asyncio.get_running_loop().create_future(), repr=False
     )
@@ -45,7 +47,7 @@ class Shot:
     @property
     def end_ns(self) -> int:
         """Until then nobody else speaks: a host that is late gets one slot more."""
-        return self.begin_ns + self.wire_ns + 2 * self.each_ns
+        return self.begin_ns + self.wire_ns + 2 * self.each_ns + self.late_ns
 
     def hear(self, reply: Reply | None) -> None:
         if not self.heard.done():
@@ -241,6 +243,11 @@ class Line:
                     "units of one line start in one step, or at least a second apart",
                 )
         self._shots.append(shot)
+        self._clock.call_at_ns(shot.end_ns, self._share_out)
+
+    def written(self, shot: Shot, late_ns: int) -> None:
+        """Its line was written, so much later than promised: the slot need not be longer than that."""
+        shot.late_ns = late_ns
         self._clock.call_at_ns(shot.end_ns, self._share_out)
 
     def release(self, shot: Shot) -> None:

@@ -132,8 +132,9 @@ class Mover:
         if not known:
             raise CannotDo("not-loaded", f"{unit.session.name} has lost its program", "arm again")
 
-    async def go(self) -> None:
-        """Have the starting line written in its slot, so that the motion or the edge is at T0."""
+    async def go(self, slack_ns: int) -> None:
+        """Have the starting line written in its slot, so that the motion or the edge is at T0, or `slack_ns` later than
+        promised: but not where the next unit's slot follows."""
         move = self._require()
         lowered, session = move.lowered, self._unit.session
         if not lowered.program or lowered.wait is not None:
@@ -141,10 +142,12 @@ class Mover:
         data = session.framed("E")
         wire_ns = session.line.wire_ns(len(data))
         at_ns = move.t0_ns - lowered.lead_ns - wire_ns
-        latest_ns = at_ns + self._options.fire_late_us * NS_PER_US
+        if self._slots.count > 1:
+            slack_ns = 0
+        latest_ns = self._options.latest_ns(at_ns, slack_ns)
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
-        shot = Shot(session.unit, at_ns, wire_ns, self._slots.each_ns)
+        shot = Shot(session.unit, at_ns, wire_ns, self._slots.each_ns, slack_ns)
         session.line.reserve(shot)
         move.shot = shot
         move.order = self._firer.schedule(session.line.link, data, at_ns, latest_ns)
@@ -217,6 +220,8 @@ class Mover:
             session.line.release(move.shot)
             move.running = False
             raise missed("the starting line", session.line.link, fired)
+        late_ns = self._options.beyond_ns(fired)
+        session.line.written(move.shot, late_ns)
         reply = await move.shot.heard
         at_unit_ns = move.arrived_ns = fired.written_ns + move.shot.wire_ns
         least_ns, most_ns = move.lowered.program_ns
@@ -233,7 +238,7 @@ class Mover:
                 f"{session.name} has answered {said} to the starting line, and does not move",
                 "check cable and power; is its address given twice?",
             )
-        return Span(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns)
+        return Span(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns, late_ns=late_ns)
 
     async def _see_it_gone(self, move: Move) -> None:
         """A unit whose end-of-travel input is active takes the order, and stays where it is; so does one that has just

@@ -79,7 +79,8 @@ class YaskawaDriver(Driver, Generic[_Device]):
     async def verify(self) -> None:
         await self._start.verify()
 
-    async def go(self) -> None:
+    async def go(self, slack_ns: int = 0) -> None:
+        # The controller starts itself.
         await self._start.go()
 
     async def disarm(self) -> None:

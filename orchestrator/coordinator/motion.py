@@ -307,7 +307,10 @@ class Motion:
 
     async def _go(self, moving: Moving) -> None:
         """After the decision: a member that can not go makes all others stop before, or just after, they begin."""
-        requests = {member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals}
+        requests = {
+            member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member), slack_ns=moving.slack_ns)
+            for member in moving.proposals
+        }
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         # Whoever has not answered by then is given up while the others can still be unloaded.
         wait_s = max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)
@@ -417,7 +420,7 @@ class Motion:
         if window is None or said_ns <= window.latest_ns - window.earliest_ns:
             return evidence
         earliest_ns = max(evidence.start.earliest_ns, moving.t0_fleet_ns + window.earliest_ns)
-        latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns)
+        latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns + evidence.late_ns)
         if earliest_ns > latest_ns:
             return evidence
         return evidence.model_copy(update={"modelled": Interval(earliest_ns=earliest_ns, latest_ns=latest_ns)})

@@ -3,7 +3,7 @@
 import asyncio
 from dataclasses import dataclass, field
 
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.coordinator.permits import Guard
 from orchestrator.coordinator.targets import Resolved
 from orchestrator.model.fleet import Wire
@@ -12,6 +12,9 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.report import Budget
 from orchestrator.model.state import Event
 from orchestrator.plan.step import Plan
+
+SLACK_NS = 50 * NS_PER_MS
+"""Who starts later than promised by more than this was not busy, but stopped or suspended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,15 @@ class Moving:
         """How long before T0 nobody can be sure any more to take the step back: by what the members declare, because
         where the controllers themselves decide so long before their start, no quick link makes it shorter."""
         return max((each.costs.disarm_ns for each in self.proposals.values() if each.costs is not None), default=0)
+
+    @property
+    def slack_ns(self) -> int:
+        """How much later than promised a member may be started, so that what the job allows is still kept: a start
+        that is a little late is better than none. None where a line starts members: they count on its promise."""
+        if self.budget is None or self.line is not None:
+            return 0
+        # One axis has nobody that it could be too late for.
+        return SLACK_NS if len(self.plan.profiles) == 1 else min(self.budget.slack_ns, SLACK_NS)
 
     def lost_permit(self) -> str | None:
         """What permit of the step has been lost since it was armed, in words."""

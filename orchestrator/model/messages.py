@@ -178,9 +178,14 @@ class Commit(StepRef):
 
 
 class Go(StepRef):
-    """Every member has promised: begin at T0."""
+    """Every member has promised: begin at T0.
+
+    slack_ns: how much later than it has promised a member may begin all the same, because the job allows more than was
+    promised; who could only be later still does not begin.
+    """
 
     t0_fleet_ns: Int53
+    slack_ns: Int53 = 0
 
 
 class Disarm(StepRef):

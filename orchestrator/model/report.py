@@ -89,6 +89,13 @@ class Budget(Model):
     end: Predicted | None = None
     path: Predicted | None = None
 
+    @property
+    def slack_ns(self) -> int:
+        """What is left of what the job allows: of start, end and path, whichever leaves least."""
+        limits = (self.end, self.path)
+        left = [each.allowed_ns - each.predicted_ns for each in limits if each and each.allowed_ns is not None]
+        return max(0, min([self.allowed_ns - self.predicted_ns, *left]))
+
 
 class MemberReport(Model):
     """One member's part in a step."""

@@ -120,10 +120,12 @@ class AxisEvidence(Model):
 
     modelled: the start where the evidence is vague, narrowed by what the member had promised; true as far as its link
     and host keep within their models, while `start` does not rest on them.
+    late_ns: so much later than promised was the start given, because the host was busy; what else was promised holds.
     settled_s: from the end of the profile until it was seen in its window, for axes with `done: in_position`.
     """
 
     start: Interval
+    late_ns: Int53 = 0
     modelled: Interval | None = None
     end: Interval | None = None
     settled_s: float | None = None

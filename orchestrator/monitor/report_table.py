@@ -94,13 +94,20 @@ def _budget_rows(step: StepReport) -> list[list[str]]:
 
 
 def _later(step: StepReport) -> list[str]:
-    """Holds inside the step, and its predicted end and path skew."""
+    """Holds inside the step, starts that were later than promised, and its predicted end and path skew."""
     budget = step.budget
     lines = [
         f"step {step.index}: held by {hold.by} at {hold.utc[11:19]} UTC; its axes came to rest within "
         f"{_skew(hold.rest_skew) or 'a time that is not known'}"
         for hold in step.holds
     ]
+    for name, member in step.members.items():
+        late_ns = max((each.late_ns for each in member.evidence.values()), default=0)
+        if late_ns:
+            lines.append(
+                f"step {step.index}: {name} was started {late_ns / 1e6:.1f} ms later than its host promises; the job "
+                "allows for it"
+            )
     for what, said in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
         if said is not None and len(step.members) > 1:
             allowed = "" if said.allowed_ns is None else f", allowed {said.allowed_ns / 1e6:g} ms"

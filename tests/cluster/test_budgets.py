@@ -4,9 +4,8 @@ import pytest
 from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.firing import ORDINARY_US, PUNCTUAL_US, LoopFirer
 from orchestrator.client.clocks import clocks
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.lab.sync_fleets import ppsmc, shrc203, smc30, smc4000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
@@ -116,38 +115,3 @@ def test_who_can_not_go_so_slowly_ends_early_as_far_as_the_job_allows_and_is_ref
         assert all(ends["gantry"] - ends[name] > 500 * NS_PER_MS for name in slow), ends
 
     run_fleet(main, Fleet.model_validate(plain))
-
-
-@pytest.mark.parametrize(("promised_us", "state"), [(PUNCTUAL_US, "failed"), (ORDINARY_US, "done")])
-def test_who_writes_a_start_later_than_promised_does_not_and_a_host_that_is_often_late_promises_less(
-    monkeypatch: pytest.MonkeyPatch, promised_us: int, state: str
-) -> None:
-    """The process that fires has the processor 3 ms after the instant of the starting line."""
-
-    def wakes_late(self: LoopFirer, clock: Clock, wake_ns: object) -> None:
-        made(self, clock, lambda: 3 * NS_PER_MS)
-
-    made = LoopFirer.__init__
-    monkeypatch.setattr(LoopFirer, "__init__", wakes_late)
-    monkeypatch.setattr(LoopFirer, "late_us", promised_us)
-
-    async def main(fleet: VirtualFleet) -> None:
-        await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}, {do: home}]"))
-        before = len(fleet.controllers["stage"].motions)
-        report = await outcome(fleet, job("[{do: move, to: {gantry.x: 60, stage.u: 6}}]"))
-        assert report.state == state, report.reason
-        if state == "failed":
-            text = "stage: the instant to write the starting line to serial /dev/ttyUSB0 was missed: it was 3.0 ms past"
-            assert text in report.reason
-            assert len(fleet.controllers["stage"].motions) == before
-            return
-        budget, stage = report.steps[0].budget, report.steps[0].members["stage"]
-        assert budget is not None and stage.evidence is not None
-        host = next(term for term in budget.members["stage"].terms if term.name == "host")
-        assert host.latest_ns == ORDINARY_US * NS_PER_US
-        start = stage.evidence["u"].start
-        origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
-        true_ns = fleet.controllers["stage"].motions[before].start_ns - origin_ns
-        assert start.earliest_ns <= true_ns <= start.latest_ns
-
-    run_fleet(main)

@@ -134,8 +134,8 @@ class Together(Driver):
     async def verify(self) -> None:
         await at_once(each.verify() for each in self._members)
 
-    async def go(self) -> None:
-        await at_once(each.go() for each in self._members)
+    async def go(self, slack_ns: int = 0) -> None:
+        await at_once(each.go(slack_ns) for each in self._members)
 
     async def disarm(self) -> None:
         await at_once(each.disarm() for each in self._drivers)

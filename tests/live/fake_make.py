@@ -60,7 +60,7 @@ class FakeDriver(Driver):
     async def verify(self) -> None:
         raise NotImplementedError
 
-    async def go(self) -> None:
+    async def go(self, slack_ns: int = 0) -> None:
         raise NotImplementedError
 
     async def disarm(self) -> None:

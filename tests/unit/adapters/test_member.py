@@ -47,7 +47,7 @@ class Scripted:
     async def verify(self) -> None:
         self.told.append("verify")
 
-    async def go(self) -> None:
+    async def go(self, slack_ns: int = 0) -> None:
         self.told.append("go")
         if self.refuses_go is not None:
             raise self.refuses_go
