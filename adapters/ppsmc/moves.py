@@ -284,6 +284,8 @@ class Mover:
             if move.pending is not None:
                 self._session.forget(move.pending)
             raise missed("the starting line", self._session.link, fired)
+        if move.pending is not None:
+            self._session.written(move.pending, fired.written_ns)
         self._session.end_quiet()
         return fired
 

@@ -64,12 +64,13 @@ Answered = asyncio.Future[Heard]
 
 @dataclass(slots=True)
 class Pending:
-    """A batch whose answers are still to come."""
+    """A batch whose answers are still to come, for so long after it is written."""
 
     token: str
     queries: tuple[Query, ...]
     data: bytes
     written_ns: int
+    wait_ns: int
     answered: Answered = field(default_factory=lambda: asyncio.get_running_loop().create_future())
     timer: Timer | None = None
 
@@ -200,6 +201,13 @@ class Session:
         """Somebody else writes the batch's `data` by that instant: keep the place of its answers."""
         return self._batch(commands, queries, written_by_ns)
 
+    def written(self, pending: Pending, at_ns: int) -> None:
+        """The batch that was expected was written at that instant."""
+        pending.written_ns = at_ns
+        if pending.token in self._pending and pending.timer is not None:
+            pending.timer.cancel()
+            pending.timer = self._clock.call_at_ns(at_ns + pending.wait_ns, partial(self._expire, pending))
+
     def forget(self, pending: Pending) -> None:
         """The batch was never written."""
         if pending.timer is not None:
@@ -234,10 +242,11 @@ class Session:
         lines = [*commands, *(query.text for query in queries), "?us", f"us{token}", "?us"]
         data = "".join(line + EOL for line in lines).encode()
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
-        pending = self._pending[token] = Pending(token, tuple(queries), data, since_ns)
         answers = sum(20 if query.form.many else 1 for query in queries)
         wait_ns = self._answer_ns + len(lines) * self._slow_ns + self.wire_ns(len(data) + answers * _LONGEST_ANSWER)
-        wait_ns += sum(each.written_ns <= since_ns for each in self._pending.values()) * self._slow_ns * 10
+        before = sum(each.written_ns <= since_ns for each in self._pending.values())
+        wait_ns += (before + 1) * self._slow_ns * 10
+        pending = self._pending[token] = Pending(token, tuple(queries), data, since_ns, wait_ns)
         pending.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._expire, pending))
         return pending
 

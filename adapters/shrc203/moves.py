@@ -134,7 +134,8 @@ class Mover:
         if self._clock.now_ns() >= at_ns:
             raise CannotDo("late", "the instant to write the starting line is past", "give more lead time")
         self._session.keep_quiet(latest_ns, at_ns)
-        places = [self._session.expect(line, latest_ns) for line in lines]
+        promised_ns = self._options.latest_ns(at_ns, 0)
+        places = [self._session.expect(line, promised_ns, latest_ns) for line in lines]
         move.order = self._firer.schedule(self._session.link, data, at_ns, latest_ns)
         if move.output is not None:
             move.switching = places.pop()
@@ -250,6 +251,9 @@ class Mover:
                     self._session.forget(pending)
             self._session.owe_nothing()
             raise missed("the starting line", self._session.link, fired)
+        for pending in (move.pending, move.switching):
+            if pending is not None:
+                self._session.written(pending, fired.written_ns)
         self._session.end_quiet()
         return fired
 

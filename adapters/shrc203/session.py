@@ -182,9 +182,18 @@ class Session:
         assert pending.reply is not None
         return pending.reply
 
-    def expect(self, command: str, written_by_ns: int) -> Pending:
-        """Somebody else writes `command` by that instant: keep the place of its reply."""
-        return self._enqueue(command, DONE, awaited=True, written_ns=written_by_ns)
+    def expect(self, command: str, written_by_ns: int, latest_ns: int) -> Pending:
+        """Somebody else writes `command` by `written_by_ns`, or as late as `latest_ns` while everybody else is quiet:
+        keep the place of its reply."""
+        pending = self._enqueue(command, DONE, awaited=True, written_ns=written_by_ns)
+        self._due(pending, latest_ns)
+        return pending
+
+    def written(self, pending: Pending, at_ns: int) -> None:
+        """What was expected was written at that instant."""
+        pending.written_ns = at_ns
+        if pending in self._queue:
+            self._due(pending, at_ns)
 
     def forget(self, pending: Pending) -> None:
         """The line was never written."""
@@ -262,11 +271,17 @@ class Session:
         # A line that somebody else writes later is answered later: what is said until then has its place before it.
         later = sum(each.written_ns > since_ns for each in self._queue)
         self._queue.insert(len(self._queue) - later, pending)
+        self._due(pending, since_ns)
+        return pending
+
+    def _due(self, pending: Pending, since_ns: int) -> None:
+        """It is to be answered in time, counted from when it is written."""
+        if pending.timer is not None:
+            pending.timer.cancel()
         ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
         pending.timer = self._clock.call_at_ns(
             since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._expire(pending)
         )
-        return pending
 
     def _expire(self, pending: Pending) -> None:
         if pending in self._queue:

@@ -1,17 +1,24 @@
 """Requests to members. Whatever goes wrong on the way becomes a refusal: a value that names the member."""
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypedDict, TypeVar
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, NoReply, RequestRefused, RequestTimeout
+from orchestrator.bus.base import Bus, BusError, NoReply, RequestRefused, RequestTimeout
 from orchestrator.bus.keys import Keys
 from orchestrator.coordinator.reign import Throne
 from orchestrator.model.messages import Refusal, Reply, Request
 
 R = TypeVar("R", bound=Reply)
+
+TRY_S = 0.3
+"""For one try of what is insisted on: the usual answer to a stop takes a tenth of that."""
+AGAIN_S = 0.05
+ABSENT_S = 0.7
+"""An adapter that lives, but has not heard of the coordinator for half a second, has stopped by itself by then."""
 
 
 class FencedFields(TypedDict):
@@ -44,20 +51,44 @@ class Members:
     async def ask(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         """Send `request` to `member` and give its reply; one with `refused` set if there is none of use."""
         try:
-            payload = await self.bus.request(self.keys.cmd(member, verb), request.to_json(), timeout_s)
-            return reply.model_validate_json(payload)
-        except NoReply:
-            refusal = Refusal(
-                code="absent", text=f"no adapter answers for {member}", remedy="is its adapter host running?"
-            )
-        except RequestTimeout:
-            refusal = Refusal(
-                code="no-answer",
-                text=f"{member} has not answered {verb} within {timeout_s:g} s",
-                remedy="look at its adapter host and its link (`tutti trace`)",
-            )
-        except RequestRefused as error:
-            refusal = Refusal(code="bad-request", text=f"{member} does not understand {verb}: {error}")
-        except ValidationError as error:
-            refusal = Refusal(code="bad-reply", text=f"{member}'s answer to {verb} can not be read: {error}")
-        return reply(refused=refusal.model_copy(update={"member": member}))
+            return await self._answer(member, verb, request, reply, timeout_s)
+        except (BusError, ValidationError) as error:
+            return reply(refused=_refusal(member, verb, error, timeout_s))
+
+    async def insist(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
+        """`ask`, again and again for `timeout_s`: where something moves, a bus that was away for a moment (its router
+        is started again) is no reason not to be heard. It is done once, because it keeps its id.
+
+        Where no adapter is to be found, that ends after `ABSENT_S`.
+        """
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
+        while True:
+            try:
+                return await self._answer(member, verb, request, reply, TRY_S)
+            except (NoReply, RequestTimeout) as error:
+                if loop.time() - begun_s >= (ABSENT_S if isinstance(error, NoReply) else timeout_s):
+                    return reply(refused=_refusal(member, verb, error, timeout_s))
+            except (RequestRefused, ValidationError) as error:
+                return reply(refused=_refusal(member, verb, error, timeout_s))
+            await asyncio.sleep(AGAIN_S)
+
+    async def _answer(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
+        payload = await self.bus.request(self.keys.cmd(member, verb), request.to_json(), timeout_s)
+        return reply.model_validate_json(payload)
+
+
+def _refusal(member: str, verb: str, error: BusError | ValidationError, timeout_s: float) -> Refusal:
+    code, remedy = "bad-request", ""
+    match error:
+        case NoReply():
+            code, text = "absent", f"no adapter answers for {member}"
+            remedy = "is its adapter host running?"
+        case RequestTimeout():
+            code, text = "no-answer", f"{member} has not answered {verb} within {timeout_s:g} s"
+            remedy = "look at its adapter host and its link (`tutti trace`)"
+        case ValidationError():
+            code, text = "bad-reply", f"{member}'s answer to {verb} can not be read: {error}"
+        case _:
+            text = f"{member} does not understand {verb}: {error}"
+    return Refusal(code=code, text=text, remedy=remedy, member=member)

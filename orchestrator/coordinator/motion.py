@@ -470,11 +470,12 @@ class Motion:
         )
 
     async def stop(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
-        """Stop members, all at once; who does not answer is logged."""
+        """Stop members, all at once; who does not answer is asked again, and logged in the end."""
         requests = {
             member: Stop(request_id=self._members.new_id(), actor=actor, mode=mode, reason=reason) for member in members
         }
-        replies = await self._ask_all("stop", requests, Reply)
+        asked = [self._members.insist(member, "stop", each, Reply, ANSWER_S) for member, each in requests.items()]
+        replies = dict(zip(requests, await asyncio.gather(*asked), strict=True))
         for member, reply in replies.items():
             if reply.refused is not None:
                 self._log.warning(f"stop: {reply.refused.text}", controller=member)
@@ -485,7 +486,7 @@ class Motion:
         return {**self._members.fields(moving.actor), "job": moving.job_id, "step": moving.index}
 
     async def _ask_all(
-        self, verb: str, requests: Mapping[str, StepRef | Stop], reply: type[T], timeout_s: float = ANSWER_S
+        self, verb: str, requests: Mapping[str, StepRef], reply: type[T], timeout_s: float = ANSWER_S
     ) -> dict[str, T]:
         ask: Any = self._members.ask
         asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]

@@ -369,3 +369,25 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
         assert rested[then]
 
     run_fleet(main, gentle_fleet(steps=steps))
+
+
+def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
+    """The bus is away while a member fails, and back before anybody stops by itself for want of a coordinator."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.client()
+        job_id = await client.submit(MOVE)
+        await asyncio.sleep(3.0)
+        fleet.kill("host/right")
+        await asyncio.sleep(0.5)
+        fleet.net.partition({fleet.process("host/local").name}, {fleet.process("coordinator/first").name})
+        await asyncio.sleep(0.3)
+        assert not fleet.controllers["gantry"].at_rest()
+        fleet.net.heal()
+        back_s = now_s(fleet)
+        assert (await client.wait(job_id)).state == "failed"
+        await asyncio.sleep(1.0)
+        assert gantry_end_s(fleet) < back_s + 0.4 + RAMP_S
+
+    run_fleet(main, two_hosts())

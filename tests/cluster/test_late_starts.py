@@ -79,6 +79,9 @@ def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
         assert report.state == "done", report.reason
         assert max(starts.values()) - min(starts.values()) <= budget.allowed_ns
         require_evidence(report, starts, {"gantry": 0, "stage": late_us * NS_PER_US})
+        # And as quickly known, and as well, as one that is not late.
+        start = report.steps[0].members["stage"].evidence["u"].start
+        assert start.latest_ns - start.earliest_ns < 2 * NS_PER_MS
 
     run_fleet(main)
 
