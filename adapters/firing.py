@@ -87,7 +87,8 @@ def missed(what: str, link: Link, fired: Fired) -> DriverFault:
         "late",
         f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms past when the "
         "process that fires had the processor",
-        "let the host run real-time processes or give it less to do, or allow for more (`max_start_skew` of the job)",
+        "let the host run real-time processes or give it less to do, or allow for more: `max_start_skew` of the job, "
+        "and where a line, a stream or the next unit of a bus hangs on it, option fire_late_us",
     )
 
 
