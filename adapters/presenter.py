@@ -127,6 +127,7 @@ class Presenter:
             job=ticket.job if ticket else None,
             step=ticket.step if ticket else None,
             leases=self._holders(),
+            event_seq=self._events.last_seq,
         )
 
     def publish(self) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
 from pydantic import ValidationError
 
@@ -17,6 +18,8 @@ from orchestrator.model.state import ControllerState, Event, EventsReply, Events
 # motion only what its controller has shown, which waits for what the others on its line are asked.
 SILENT_NS = 700 * NS_PER_MS
 OTHER_NS = 40 * NS_PER_MS  # more for each of them: eight SMC-2000 at 19,200 baud come to a word each in 0.7 s after T0
+
+OVERTAKEN_NS = 30 * NS_PER_MS  # by so much may a state come before an event that it tells of
 
 Listener = Callable[[Event], None]
 
@@ -38,6 +41,7 @@ class FleetView:
         }
         self._infos: dict[str, Info] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
+        self._awaited: dict[str, tuple[str, int]] = {}
         self._listeners: list[Listener] = []
         self._state_listeners: list[Callable[[ControllerState], None]] = []
         self._declared: list[Declared] = []
@@ -111,8 +115,20 @@ class FleetView:
             return
         self._states[state.controller] = state
         self._heard_ns[state.controller] = self._clock.now_ns()
+        told = (state.instance, state.event_seq)
+        if told not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
+            self._awaited[state.controller] = told
+            self._clock.call_at_ns(self._clock.now_ns() + OVERTAKEN_NS, partial(self._miss, state.controller, told))
         for listener in list(self._state_listeners):
             listener(state)
+
+    def _miss(self, controller: str, told: tuple[str, int]) -> None:
+        """Ask for the last event, which nothing may ever follow, if it has not come by itself meanwhile."""
+        instance, last = self._last_event.get(controller, ("", 0))
+        if instance != told[0]:
+            self._last_event[controller] = told  # what was before that adapter was met first concerns nobody
+        elif last < told[1]:
+            self._spawn_fill(controller, last)
 
     def _take_event(self, sample: Sample) -> None:
         try:
@@ -147,6 +163,7 @@ class FleetView:
             )
         except BusError as error:
             self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)
+            self._awaited.pop(controller, None)  # the next state has them asked for again
             return
         reply = EventsReply.model_validate_json(payload)
         if reply.lost:

@@ -106,6 +106,7 @@ class ControllerState(Model):
     job: str | None = None
     step: int | None = None
     leases: dict[str, str] = Field(default={}, description="Who may move: holder by axis, for axes that are held.")
+    event_seq: Int53 = Field(default=0, description="The last event, so that who has missed it learns of that.")
 
 
 class Interval(Model):

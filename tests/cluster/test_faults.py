@@ -391,3 +391,28 @@ def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
         assert gantry_end_s(fleet) < back_s + 0.4 + RAMP_S
 
     run_fleet(main, two_hosts())
+
+
+@pytest.mark.parametrize("lost", ["started", "done"])
+def test_an_event_that_was_lost_with_the_bus_and_is_followed_by_none_is_asked_for(lost: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        client = fleet.client()
+        before = len(fleet.controllers["stage"].motions)
+        job_id = await client.submit(STAGE)
+        while len(motions := fleet.controllers["stage"].motions) == before:
+            await asyncio.sleep(0.0001)
+        while lost == "done" and motions[-1].end_ns is None:
+            await asyncio.sleep(0.0001)
+        fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
+        await asyncio.sleep(0.2)
+        fleet.net.heal()
+        report = await client.wait(job_id)
+        assert report.state == "done", report.reason
+        evidence = report.steps[0].members["stage"].evidence["u"]
+        took_ns = (motions[-1].end_ns or 0) - motions[-1].start_ns
+        assert evidence.end is not None
+        assert evidence.end.earliest_ns - evidence.start.latest_ns <= took_ns
+        assert took_ns <= evidence.end.latest_ns - evidence.start.earliest_ns
+
+    run_fleet(main, two_hosts())
