@@ -9,7 +9,8 @@ from orchestrator.model.report import JobReport
 
 
 class Held(NamedTuple):
-    """A motion step: its true start skew, ns, and whether verdict and evidence hold it; outside: whose do not."""
+    """A motion step: its true start skew, ns, and whether the verdict holds it; outside: whose evidence does not hold
+    their own start, and by how much."""
 
     step: int
     skew_ns: int
@@ -45,7 +46,7 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
                     outside.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
         skew_ns = max(true) - min(true) if true else 0
         within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
-        found.append(Held(step.index, skew_ns, within and not outside, outside))
+        found.append(Held(step.index, skew_ns, within, outside))
     return found
 
 
