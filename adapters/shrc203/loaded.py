@@ -33,6 +33,11 @@ class Move:
         return {each.motor for each in self.lowered.moves}
 
     @property
+    def expected(self) -> list[Pending]:
+        """The places of the answers to what is written at its start."""
+        return [each for each in (self.pending, self.switching) if each is not None]
+
+    @property
     def waits(self) -> bool:
         """Whether an input starts it."""
         return self.lowered.wait is not None and bool(self.lowered.moves)

@@ -206,9 +206,8 @@ class Mover:
         if move.order is None or not move.order.cancel():
             return False
         move.taken_back = True
-        for pending in (move.pending, move.switching):
-            if pending is not None:
-                self._session.forget(pending)
+        for pending in move.expected:
+            self._session.forget(pending)
         self._session.end_quiet()
         if not move.waits:
             self._session.owe_nothing()
@@ -246,14 +245,12 @@ class Mover:
                 raise
             raise DriverFault("not-started", "the order to start was taken back", "") from None
         if fired.late:
-            for pending in (move.pending, move.switching):
-                if pending is not None:
-                    self._session.forget(pending)
+            for pending in move.expected:
+                self._session.forget(pending)
             self._session.owe_nothing()
             raise missed("the starting line", self._session.link, fired)
-        for pending in (move.pending, move.switching):
-            if pending is not None:
-                self._session.written(pending, fired.written_ns)
+        for pending in move.expected:
+            self._session.written(pending, fired.written_ns)
         self._session.end_quiet()
         return fired
 

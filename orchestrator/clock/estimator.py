@@ -141,7 +141,7 @@ class TickEstimator:
 
     def _keep(self, sample: Sample) -> None:
         if self._count == KEPT:
-            self._kept[:-1] = self._kept[1:].copy()
+            self._kept[:-1] = self._kept[1:]
             self._count -= 1
         self._kept[self._count] = sample.sent_ns, sample.received_ns, sample.ticks
         self._count += 1

@@ -1,19 +1,21 @@
 """Requests to members. Whatever goes wrong on the way becomes a refusal: a value that names the member."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypedDict, TypeVar
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, BusError, NoReply, RequestRefused, RequestTimeout
+from orchestrator.bus.base import Bus, BusError, NoReply, RequestTimeout
 from orchestrator.bus.keys import Keys
 from orchestrator.coordinator.reign import Throne
 from orchestrator.model.messages import Refusal, Reply, Request
 
 R = TypeVar("R", bound=Reply)
 
+ANSWER_S = 2.0
+"""An adapter that has not answered a small request by then is hung."""
 TRY_S = 0.3
 """For one try of what is insisted on: the usual answer to a stop takes a tenth of that."""
 AGAIN_S = 0.05
@@ -66,12 +68,25 @@ class Members:
         while True:
             try:
                 return await self._answer(member, verb, request, reply, TRY_S)
-            except (NoReply, RequestTimeout) as error:
-                if loop.time() - begun_s >= (ABSENT_S if isinstance(error, NoReply) else timeout_s):
+            except (BusError, ValidationError) as error:
+                unheard = isinstance(error, NoReply | RequestTimeout)
+                longest_s = ABSENT_S if isinstance(error, NoReply) else timeout_s
+                if not unheard or loop.time() - begun_s >= longest_s:
                     return reply(refused=_refusal(member, verb, error, timeout_s))
-            except (RequestRefused, ValidationError) as error:
-                return reply(refused=_refusal(member, verb, error, timeout_s))
             await asyncio.sleep(AGAIN_S)
+
+    async def ask_all(
+        self,
+        verb: str,
+        requests: Mapping[str, Request],
+        reply: type[R],
+        timeout_s: float = ANSWER_S,
+        insist: bool = False,
+    ) -> dict[str, R]:
+        """`ask` several members, or `insist`, all at once; the replies by member."""
+        ask = self.insist if insist else self.ask
+        asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
+        return dict(zip(requests, await asyncio.gather(*asked), strict=True))
 
     async def _answer(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         payload = await self.bus.request(self.keys.cmd(member, verb), request.to_json(), timeout_s)

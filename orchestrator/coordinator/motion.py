@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import Any
 
 from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
@@ -11,10 +11,10 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.disk import Runs
 from orchestrator.coordinator.budget import judge, skew
 from orchestrator.coordinator.journal import Journal
-from orchestrator.coordinator.members import Members
+from orchestrator.coordinator.members import ANSWER_S, Members
 from orchestrator.coordinator.moving import Moving
 from orchestrator.coordinator.permits import Permits
-from orchestrator.coordinator.proposing import ANSWER_S, Proposing, start_ways
+from orchestrator.coordinator.proposing import Proposing, start_ways
 from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
 from orchestrator.coordinator.targets import Refuse, refuse, resolve
@@ -28,7 +28,6 @@ from orchestrator.model.messages import (
     Go,
     Refusal,
     Reply,
-    StepRef,
     Stop,
     StopMode,
 )
@@ -44,9 +43,6 @@ ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
 ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
 LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
-
-
-T = TypeVar("T")
 
 
 class Motion:
@@ -286,7 +282,7 @@ class Motion:
             member: ANSWER_S + 2 * (proposal.costs.arm_ns if proposal.costs else 0) / NS_PER_S
             for member, proposal in moving.proposals.items()
         }
-        moving.armed = await self._ask_all("arm", requests, Armed, max(timeout_s.values()))
+        moving.armed = await self._members.ask_all("arm", requests, Armed, max(timeout_s.values()))
         await self._disarm_if_refused(moving, moving.armed)
 
     async def _judge_frozen(self, moving: Moving, job: Job, step: Move) -> None:
@@ -302,7 +298,7 @@ class Motion:
             member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals
         }
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
-        promises = await self._ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
+        promises = await self._members.ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
         await self._disarm_if_refused(moving, promises)
 
     async def _go(self, moving: Moving) -> None:
@@ -314,7 +310,7 @@ class Motion:
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         # Whoever has not answered by then is given up while the others can still be unloaded.
         wait_s = max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)
-        released = await self._ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, wait_s)))
+        released = await self._members.ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, wait_s)))
         await self._disarm_if_refused(moving, released)
 
     async def _disarm_if_refused(self, moving: Moving, replies: Mapping[str, Reply]) -> None:
@@ -331,7 +327,7 @@ class Motion:
         moving.unloaded = True
 
         async def unload(member: str) -> None:
-            (reply,) = (await self._ask_all("disarm", {member: Disarm(**self._ref(moving))}, Reply)).values()
+            reply = await self._members.ask(member, "disarm", Disarm(**self._ref(moving)), Reply, ANSWER_S)
             if reply.refused is not None and member in movers:
                 moving.unloaded = False
                 await self.stop([member], "decelerate", moving.actor, "disarm did not succeed")
@@ -374,7 +370,8 @@ class Motion:
             await self.stop(moving.movers, "decelerate", moving.actor, failure[1])
             if moving.line is not None and moving.line.driver not in moving.movers:
                 # It may be moving for another job.
-                await self._ask_all("disarm", {moving.line.driver: Disarm(**self._ref(moving))}, Reply)
+                disarm = Disarm(**self._ref(moving))
+                await self._members.ask(moving.line.driver, "disarm", disarm, Reply, ANSWER_S)
         return self._report(moving, step, reports, failure)
 
     def _overdue(
@@ -474,8 +471,7 @@ class Motion:
         requests = {
             member: Stop(request_id=self._members.new_id(), actor=actor, mode=mode, reason=reason) for member in members
         }
-        asked = [self._members.insist(member, "stop", each, Reply, ANSWER_S) for member, each in requests.items()]
-        replies = dict(zip(requests, await asyncio.gather(*asked), strict=True))
+        replies = await self._members.ask_all("stop", requests, Reply, insist=True)
         for member, reply in replies.items():
             if reply.refused is not None:
                 self._log.warning(f"stop: {reply.refused.text}", controller=member)
@@ -484,13 +480,6 @@ class Motion:
 
     def _ref(self, moving: Moving) -> dict[str, Any]:
         return {**self._members.fields(moving.actor), "job": moving.job_id, "step": moving.index}
-
-    async def _ask_all(
-        self, verb: str, requests: Mapping[str, StepRef], reply: type[T], timeout_s: float = ANSWER_S
-    ) -> dict[str, T]:
-        ask: Any = self._members.ask
-        asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
-        return dict(zip(requests, await asyncio.gather(*asked), strict=True))
 
 
 def _require_not_held(moving: Moving) -> None:

@@ -1,6 +1,5 @@
 """What members can make of a plan, and how they start together: asked, agreed, and budgeted (design, section 6.2)."""
 
-import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -11,12 +10,12 @@ from orchestrator.coordinator.budget import Window, make_budget, make_ways, pred
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.moving import LineStart, Moving
 from orchestrator.coordinator.pace import Pace
-from orchestrator.coordinator.targets import Refuse, refuse
+from orchestrator.coordinator.targets import Refuse, refuse_if_any
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Wire
 from orchestrator.model.job import Job, Move
-from orchestrator.model.messages import Armed, Proposal, Propose, Reply, StartWay, Term
+from orchestrator.model.messages import Armed, Proposal, Propose, StartWay, Term
 from orchestrator.model.report import Predicted
 from orchestrator.model.state import Costs
 
@@ -25,7 +24,6 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
-ANSWER_S = 2.0  # an adapter that has not answered a small request by then is hung
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 
@@ -203,8 +201,7 @@ class Proposing:
             )
             for member, way in ways.items()
         }
-        asked = [self._members.ask(member, "propose", each, Proposal, ANSWER_S) for member, each in requests.items()]
-        proposals = dict(zip(requests, await asyncio.gather(*asked), strict=True))
+        proposals = await self._members.ask_all("propose", requests, Proposal)
         refuse_if_any(proposals)
         return proposals
 
@@ -221,13 +218,6 @@ def start_ways(moving: Moving, step: Move, members: Iterable[str]) -> dict[str, 
         for member in members
     }
     return {member: way.model_copy(update=also) for member, way in ways.items()}
-
-
-def refuse_if_any(replies: Mapping[str, Reply]) -> None:
-    """Raises `Refuse` with the first refusal among `replies`."""
-    for reply in replies.values():
-        if reply.refused is not None:
-            raise refuse(reply.refused)
 
 
 def _require(what: str, said: Predicted | None) -> None:

@@ -1,12 +1,11 @@
 """The steps that are no synchronised motion: enable, home, dwell, output, wait."""
 
-import asyncio
 from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.coordinator.homing import Homing, Progress, homing_order, must_wait_for
 from orchestrator.coordinator.members import FencedFields, Members
-from orchestrator.coordinator.targets import Refuse, refuse
+from orchestrator.coordinator.targets import Refuse, refuse_if_any
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Fleet, by_controller
@@ -84,10 +83,7 @@ class PlainSteps:
             await sleep_ns(self._clock, LOOK_NS)
 
     async def _all(self, verb: str, requests: Mapping[str, LeasedRequest | OutputRequest], timeout_s: float) -> None:
-        asked = [self._members.ask(member, verb, each, Reply, timeout_s) for member, each in requests.items()]
-        for reply in await asyncio.gather(*asked):
-            if reply.refused is not None:
-                raise refuse(reply.refused)
+        refuse_if_any(await self._members.ask_all(verb, requests, Reply, timeout_s))
 
     def _fields(self, actor: str) -> FencedFields:
         return self._members.fields(actor)

@@ -7,7 +7,7 @@ from math import floor
 
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.job import Move
-from orchestrator.model.messages import Refusal
+from orchestrator.model.messages import Refusal, Reply
 from orchestrator.model.state import AxisState, Info
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.step import AxisMove, Targets
@@ -24,6 +24,13 @@ class Refuse(Exception):
 def refuse(refusal: Refusal) -> Refuse:
     """A member's refusal as the step's."""
     return Refuse(refusal.code, f"{refusal.member}: {refusal.text}", refusal.remedy, refusal.member)
+
+
+def refuse_if_any(replies: Mapping[str, Reply]) -> None:
+    """Raises `Refuse` with the first refusal among `replies`."""
+    for reply in replies.values():
+        if reply.refused is not None:
+            raise refuse(reply.refused)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import pytest
 from cluster.test_chain import chain_fleet
-from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
+from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 
 from orchestrator.client.clocks import clocks
 from orchestrator.clock.base import NS_PER_MS
@@ -78,7 +78,7 @@ def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_w
             before = len(fleet.controllers["stage"].motions)
             report = await outcome(fleet, job(f"[{{do: move, to: {{stage.u: {target}}}}}]", max_start_skew="50 ms"))
             assert report.state == "done", report.reason
-            origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+            origin_ns = origin_host_ns(fleet)
             true_ns = fleet.controllers["stage"].motions[before].start_ns - origin_ns
             evidence = report.steps[0].members["stage"].evidence["u"]
             assert evidence.start.earliest_ns <= true_ns <= evidence.start.latest_ns
@@ -110,7 +110,7 @@ def test_who_can_not_go_so_slowly_ends_early_as_far_as_the_job_allows_and_is_ref
         for name, each in fleet.controllers.items():
             (motion,) = each.motions[before[name] :]
             evidence = step.members[name].evidence["x"].end
-            ends[name] = (motion.end_ns or 0) - next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+            ends[name] = (motion.end_ns or 0) - origin_host_ns(fleet)
             assert evidence is not None and evidence.earliest_ns <= ends[name] <= evidence.latest_ns
         assert all(ends["gantry"] - ends[name] > 500 * NS_PER_MS for name in slow), ends
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from cluster.worlds import job, outcome, run_fleet
+from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.lab.sync_fleets import smc4000
@@ -51,7 +51,7 @@ def test_streams_and_contours_start_and_end_together_with_evidence_that_holds_th
             step = report.steps[0]
             assert step.start_skew is not None
             made = {name: unit.motions[before[name]] for name, unit in virtual.controllers.items()}
-            origin_ns = next(iter(virtual.coordinators.values()))[1].throne.scale.origin_host_ns
+            origin_ns = origin_host_ns(virtual)
             starts = [motion.start_ns for motion in made.values()]
             ends = [motion.end_ns or 0 for motion in made.values()]
             assert step.start_skew.at_least_ns <= max(starts) - min(starts) <= step.start_skew.at_most_ns

@@ -3,7 +3,7 @@
 from typing import Any
 
 from cluster.test_chain import chain_fleet
-from cluster.worlds import demo_fleet, job, outcome, run_fleet
+from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.lab.virtual import VirtualFleet
@@ -46,7 +46,7 @@ def test_a_jerk_limited_job_on_two_controllers_is_green_and_its_evidence_holds_t
         report = await outcome(fleet, PREPARE, job(steps))
         assert report.state == "done", report.reason
         assert [step.verdict for step in report.steps[:2]] == ["green", "green"]
-        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
         homed = 2
         for name, controller in fleet.controllers.items():
             made = iter(controller.motions[homed:])

@@ -10,11 +10,22 @@ import pytest
 from cluster.test_chain import MOVE as CHAIN_MOVE
 from cluster.test_chain import PREPARE as CHAIN_PREPARE
 from cluster.test_chain import chain_fleet
-from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, rested_when_leased, run_fleet
+from cluster.worlds import (
+    MOVE,
+    PREPARE,
+    changed,
+    demo_fleet,
+    job,
+    origin_host_ns,
+    outcome,
+    rested_when_leased,
+    run_fleet,
+)
 
 from adapters.contract import CannotDo, DriverFault, Reading
 from adapters.member import Member
 from adapters.smc30.driver import SmcDriver
+from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.lab import sync_fleets
 from orchestrator.lab.virtual import VirtualFleet
@@ -90,13 +101,19 @@ def test_a_host_that_can_not_be_reached_does_not_end_the_leases_on_others() -> N
     run_fleet(main, two_hosts())
 
 
+async def host_killed_in_a_move(fleet: VirtualFleet) -> tuple[Tutti, str]:
+    """A client and its job, which moves both controllers, when the host of one of them has just been killed."""
+    assert (await outcome(fleet, PREPARE)).state == "done"
+    client = fleet.client()
+    job_id = await client.submit(MOVE)
+    await asyncio.sleep(3.0)
+    fleet.kill("host/right")
+    return client, job_id
+
+
 def test_others_stop_when_an_adapter_dies_and_is_back_before_anybody_misses_it() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
-        job_id = await client.submit(MOVE)
-        await asyncio.sleep(3.0)
-        fleet.kill("host/right")
+        client, job_id = await host_killed_in_a_move(fleet)
         killed_s = now_s(fleet)
         report = await client.wait(job_id)
         assert report.state == "failed" and "stage: its adapter" in report.reason
@@ -335,7 +352,7 @@ def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
         assert stopped.end_ns - stopped.slowing_ns > NS_PER_S and stopped.end_ns < moved.start_ns
         assert not any("moves although it was told to stop" in line for line in fleet.lines)
         begun = [json.loads(line) for line in fleet.lines if then in line and "job is running" in line]
-        origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
         assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
 
     run_fleet(main, gentle_fleet(gantry=gantry, steps=sync_fleets.smc30(0, 1)))
@@ -375,11 +392,7 @@ def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
     """The bus is away while a member fails, and back before anybody stops by itself for want of a coordinator."""
 
     async def main(fleet: VirtualFleet) -> None:
-        assert (await outcome(fleet, PREPARE)).state == "done"
-        client = fleet.client()
-        job_id = await client.submit(MOVE)
-        await asyncio.sleep(3.0)
-        fleet.kill("host/right")
+        client, job_id = await host_killed_in_a_move(fleet)
         await asyncio.sleep(0.5)
         fleet.net.partition({fleet.process("host/local").name}, {fleet.process("coordinator/first").name})
         await asyncio.sleep(0.3)

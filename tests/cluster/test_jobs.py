@@ -3,7 +3,7 @@
 import asyncio
 
 import pytest
-from cluster.worlds import PREPARE, demo_fleet, demo_job, job, outcome, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, run_fleet
 
 from adapters.unit import Unit
 from orchestrator.bus.base import Sample
@@ -19,7 +19,7 @@ def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
         report = await outcome(fleet, demo_job())
         assert report.state == "done", report.reason
         assert [step.verdict for step in report.steps if step.do == "move"] == ["green"] * 3
-        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
         homed = {"gantry": 2, "stage": 3}
         for name, controller in fleet.controllers.items():
             made = iter(controller.motions[homed[name] :])

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from cluster.test_can_streams import DRIVES
 from cluster.test_can_streams import fleet as streams
-from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from adapters.firing import ORDINARY_US, PUNCTUAL_US, LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
@@ -36,7 +36,7 @@ def promise(monkeypatch: pytest.MonkeyPatch, late_us: int) -> None:
 
 def true_starts(virtual: VirtualFleet, before: dict[str, int]) -> dict[str, int]:
     """When each controller that has moved since really began to, fleet time."""
-    origin_ns = next(iter(virtual.coordinators.values()))[1].throne.scale.origin_host_ns
+    origin_ns = origin_host_ns(virtual)
     units = virtual.controllers
     return {
         name: units[name].motions[n].start_ns - origin_ns for name, n in before.items() if len(units[name].motions) > n

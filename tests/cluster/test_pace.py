@@ -4,7 +4,7 @@ import asyncio
 from dataclasses import replace
 
 import pytest
-from cluster.worlds import PREPARE, job, outcome, run_fleet
+from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.pace import GO_ROOM, KEPT, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
@@ -16,7 +16,7 @@ STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
 def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
 
         async def waited_ns(k: int) -> int:
             asked_ns = fleet.clock.now_ns() - origin_ns

@@ -5,7 +5,7 @@ from itertools import combinations, product
 from random import Random
 
 import pytest
-from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, changed, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
@@ -24,7 +24,7 @@ def test_jobs_on_units_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> N
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client, draw = fleet.client(), Random(hold_ms)
-        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
 
         spans: dict[str, list[tuple[int, int]]] = {name: [] for name in (*UNITS, "gantry")}
 

@@ -1,7 +1,7 @@
 """A slow step in which an SHRC-203 makes its part of two moves one behind the other, as a fleet."""
 
 import pytest
-from cluster.worlds import changed, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.lab.virtual import VirtualFleet
@@ -38,7 +38,7 @@ def test_all_end_together_as_was_predicted(seed: int) -> None:
         # The plan is kept to 0.2 ms by the unit's own crystal, which is 31 ppm slow, over 24 s.
         started = min(each.start_ns for each in made)
         assert all(abs(end - started - 24.001 * NS_PER_S) < 5 * NS_PER_MS for end in ends[:2])
-        origin_ns = fleet.coordinators["first"][1].throne.scale.origin_host_ns
+        origin_ns = origin_host_ns(fleet)
         for name, end in zip(("u", "focus"), ends[:2], strict=True):
             claimed = step.members["stage"].evidence[name].end
             assert claimed is not None and claimed.earliest_ns <= end - origin_ns <= claimed.latest_ns

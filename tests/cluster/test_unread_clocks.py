@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from cluster.worlds import job, outcome, run_fleet
+from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.client.clocks import clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
@@ -36,7 +36,7 @@ async def moved(world: VirtualFleet, to: float, speed: float) -> float:
     report = await outcome(world, job(f"[{{do: move, to: {{u.x: {to}}}, speed: {speed}}}]"))
     assert report.state == "done", report.reason
     step, real = report.steps[0], world.controllers["u"].motions[before]
-    evidence, origin_ns = step.members["u"].evidence["x"], world.coordinators["first"][1].throne.scale.origin_host_ns
+    evidence, origin_ns = step.members["u"].evidence["x"], origin_host_ns(world)
     assert evidence.start is not None and evidence.end is not None
     assert real.end_ns is not None and step.planned_s is not None
     assert evidence.start.earliest_ns <= real.start_ns - origin_ns <= evidence.start.latest_ns

@@ -71,6 +71,11 @@ def changed(fleet: Fleet, **controllers: dict[str, Any]) -> Fleet:
     return Fleet.model_validate(plain)
 
 
+def origin_host_ns(fleet: VirtualFleet) -> int:
+    """The host instant at which fleet time is 0."""
+    return next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+
+
 async def rested_when_leased(fleet: VirtualFleet, client: Tutti, controller: str) -> dict[str, bool]:
     """By holder, whether `controller` was at rest when it was leased to them first; filled from now on."""
     rested: dict[str, bool] = {}
