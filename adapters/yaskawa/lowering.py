@@ -191,26 +191,29 @@ def _by_registers(
 
     places: where axes should lie on the samples; where the registers can not do that, as near to the plan as they can.
     """
-    shapes: dict[str, Trapezoid] = {}
-    reasons: list[str] = []
-    for axis, profile in way.items():
-        try:
-            place = places.get(axis)
-            if place is not None:
-                shape = shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model, place)
-                if shape.samples == place.last and _near(shape, profile, tick_ns):
-                    continue
-            shape = shapes[axis] = fit(axis, profile, bounds[axis], tick_ns, model)
-        except CannotDo as refusal:
-            if refusal.refusal.code != "shape":
-                raise
-            return None, ""
+    try:
+        shapes = fit(way, bounds, tick_ns, model, places) if places else {}
+        # Where they can not end in their place, as near to the plan as if there were none.
+        others = {
+            axis: profile
+            for axis, profile in way.items()
+            if axis not in shapes
+            or shapes[axis].samples != places[axis].last
+            or not _near(shapes[axis], profile, tick_ns)
+        }
+        shapes |= fit(others, bounds, tick_ns, model) if others else {}
+    except CannotDo as refusal:
+        if refusal.refusal.code != "shape":
+            raise
+        return None, ""
+    for axis, profile in others.items():
+        shape = shapes[axis]
         if not _suffices(shape, profile, tick_ns):
-            reasons.append(
+            return shapes, (
                 f"by its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and goes up to "
                 f"{shape.path_error_counts:.0f} counts beside its plan"
             )
-    return shapes, reasons[0] if reasons else ""
+    return shapes, ""
 
 
 def _places(way: Mapping[str, Profile], mapping: TickMapping, how: StartWay) -> dict[str, Place]:

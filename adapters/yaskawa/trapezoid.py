@@ -10,6 +10,7 @@ end of the plan. Without that, a move may begin half a sample beside T0 and end 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 """Of values that belong together, one for each candidate or instant."""
 
 ROOM = 1e-6  # beyond a limit, relative: rounding of a plan that uses it to the full
-SYMMETRIC = 1e-6  # of the duration: how far the two ramps may differ
+SYMMETRIC = 1e-9  # relative: how far the two ramps may differ, in length and slope
 NOTHING_S = 1e-9  # a shorter segment is one that the planner left empty
 NEIGHBOURS = 6  # speeds on either side of the planned one, and ramps on either side of its own
 ALIKE = 200  # the best, among which there are so many different ones as finalists
@@ -69,26 +70,36 @@ class Trapezoid:
 
 
 @dataclass(frozen=True, slots=True)
-class _Law:
-    """A trapezoid over `way` counts from rest to rest: peak speed and ramps in counts and samples; or many of them,
-    as arrays."""
+class Place:
+    """Where a move lies on its controller's samples. phase: samples from T0 to the begin. last: the sample, from the
+    one of the begin on, at which it should end."""
 
-    way: float
+    phase: float
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Law:
+    """Trapezoids over `way` counts from rest to rest: peak speed and ramps in counts and samples. By axis: the moves,
+    and then whatever there are several of for each."""
+
+    way: Array
     peak: Array
     up: Array
     down: Array
     length: Array
 
     @classmethod
-    def of(cls, way: float, speed: Array, up: Array, down: Array) -> "_Law":
+    def of(cls, way: Array, speed: Array, up: Array, down: Array) -> "_Law":
         ramps = 1.0 / up + 1.0 / down
         peak = np.minimum(speed, np.sqrt(2 * way / ramps))
         return cls(way, peak, up, down, way / peak + peak / 2 * ramps)
 
     @classmethod
-    def by(cls, way: float, registers: Array) -> "_Law":
+    def by(cls, way: Array, registers: Array) -> "_Law":
         """registers: SP, AC and DC along the last axis."""
-        return cls.of(way, *np.moveaxis(registers / _UNITS, -1, 0))
+        values = registers / _UNITS
+        return cls.of(way, values[..., 0], values[..., 1], values[..., 2])
 
     def at(self, t: Array) -> Array:
         rise, fall = self.peak / self.up, self.peak / self.down
@@ -105,27 +116,84 @@ class _Law:
         return self.peak / self.up, self.length - self.peak / self.down, self.length
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a move lies on its controller's samples. phase: samples from T0 to the begin. last: the sample, from the
-    one of the begin on, at which it should end."""
+class _Wanted:
+    """What the moves of some axes should be, one a row, in counts and samples; each value a column.
 
-    phase: float
-    last: int
+    early, late: between these, all lengths are as good. top_speed, top_ramp: the largest registers.
+    """
+
+    def __init__(self, rows: list[tuple[float, ...]]) -> None:
+        columns = np.array(rows)[:, :, None].swapaxes(0, 1)
+        self.way, self.planned, ramp, self.phase, self.early, self.late, self.top_speed, self.top_ramp = columns
+        self.length = np.minimum(np.maximum(self.planned, self.early), self.late)
+        speed = self.way / (self.planned - ramp)
+        self.plan = _Law.of(self.way, speed, speed / ramp, speed / ramp)
+
+    def off(self, length: Array) -> Array:
+        """What lengths count for that are not as good."""
+        return OFF_WEIGHT * self.plan.peak * np.maximum(0.0, np.maximum(self.early - length, length - self.late))
+
+    def rank(self, candidates: Array) -> Array:
+        """A quick measure of how bad they are, in counts: the distance of the cruises, drawn out over the time between
+        the plan's ramps, when the laws begin `phase` samples later."""
+        laws, plan = _Law.by(self.way, candidates), self.plan
+        rise, fall, _ = plan.joints
+        faster = laws.peak - plan.peak
+        behind = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * self.phase
+        apart = np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
+        return self.off(laws.length) + apart
 
 
 def fit(
-    name: str, profile: Profile, bounds: Bounds, tick_ns: float, model: Model, place: Place | None = None
-) -> Trapezoid:
-    """The registers for `profile` that come nearest. tick_ns: length of a sample in host time. place: if known; then
-    any duration is as good as another that ends at the same sample, and near to the plan is what is near to it about
-    T0, so that the ramp up makes good for the begin beside it.
+    profiles: Mapping[str, Profile],
+    bounds: Mapping[str, Bounds],
+    tick_ns: float,
+    model: Model,
+    places: Mapping[str, Place] | None = None,
+) -> dict[str, Trapezoid]:
+    """The registers for profiles with a way that come nearest, by axis; all at once, because there are as many
+    candidates for each as numpy needs. tick_ns: length of a sample in host time. places: if known; then any duration
+    is as good as another that ends at the same sample, and near to the plan is what is near to it about T0, so that
+    the ramp up makes good for the begin beside it.
 
     Raises `CannotDo` naming what would fit.
     """
+    wanted = _Wanted([_row(axis, each, bounds[axis], tick_ns, model, places) for axis, each in profiles.items()])
+    candidates = _by_speed(wanted, model)
+    ranks = wanted.rank(candidates)
+    own, own_ranks = list(candidates), list(ranks)
+    if (ranks.min(axis=1, keepdims=True) > GOOD * wanted.plan.peak).any():
+        more = _by_ramps(wanted, model)
+        for k, (added, rank) in enumerate(zip(more, wanted.rank(more), strict=True)):
+            if own_ranks[k].min() > GOOD * wanted.plan.peak[k]:
+                own[k], own_ranks[k] = np.concatenate([own[k], added]), np.concatenate([own_ranks[k], rank])
+    finalists = np.array([_best(each, rank) for each, rank in zip(own, own_ranks, strict=True)])
+    laws = _Law.by(wanted.way, finalists)
+    # As they lie on the samples, to choose; and about T0, to tell.
+    errors = _path_errors(wanted, laws)
+    chosen = (wanted.off(laws.length) + errors[:, 0]).argmin(axis=1)
+    shapes: dict[str, Trapezoid] = {}
+    for k, (axis, profile) in enumerate(profiles.items()):
+        best = chosen[k]
+        length, planned = float(laws.length[k, best]), float(wanted.planned[k, 0])
+        speed, up, down = (int(each) for each in finalists[k, best])
+        at_limit = length > planned and (speed == wanted.top_speed[k, 0] or up == wanted.top_ramp[k, 0])
+        distance = profile.end_counts - profile.start_counts
+        error = float(errors[k, 1, best])
+        shapes[axis] = Trapezoid(distance, speed, up, down, length, length - planned, at_limit, error)
+    return shapes
+
+
+def _row(
+    name: str,
+    profile: Profile,
+    bounds: Bounds,
+    tick_ns: float,
+    model: Model,
+    places: Mapping[str, Place] | None,
+) -> tuple[float, ...]:
+    """Of `_Wanted`. Raises `CannotDo`."""
     distance = profile.end_counts - profile.start_counts
-    if distance == 0:
-        return Trapezoid(0, model.speed_step, model.ramp_step, model.ramp_step, 0.0, 0.0, False, 0.0)
     if abs(distance) >= 2**31:
         raise CannotDo("too-far", f"axis {name}: {distance} counts are more than one move can be", "move in parts")
     ramp_s = _ramp_s(name, profile)
@@ -143,34 +211,12 @@ def fit(
             "counts/s²",
             "raise the limits in the fleet file",
         )
-    way = float(abs(distance))
-    planned, ramp = profile.duration_s / tick_s, ramp_s / tick_s
-    phase = 0.0 if place is None else place.phase
-    early, late = (planned - NEAR, planned + NEAR) if place is None else (place.last - 1 + NEAR, place.last - NEAR)
-    wanted = min(max(planned, early), late)
-    plan_speed = way / (planned - ramp)
-    plan = _Law.of(way, np.array(plan_speed), np.array(plan_speed / ramp), np.array(plan_speed / ramp))
-
-    def off(length: Array) -> Array:
-        return OFF_WEIGHT * plan.peak * np.maximum(0.0, np.maximum(early - length, length - late))
-
-    def rank(candidates: Array) -> Array:
-        laws = _Law.by(way, candidates)
-        return off(laws.length) + _apart(plan, laws, phase)
-
-    candidates = _by_speed(plan, wanted, top_speed, top_ramp, model)
-    ranks = rank(candidates)
-    if ranks.min() > GOOD * plan.peak:
-        more = _by_ramps(plan, wanted, top_speed, top_ramp, model)
-        candidates, ranks = np.concatenate([candidates, more]), np.concatenate([ranks, rank(more)])
-    finalists = _distinct(candidates[np.argsort(ranks, kind="stable")[:ALIKE]])
-    laws = _Law.by(way, finalists[:, None, :])
-    # As they lie on the samples, to choose; and about T0, to tell.
-    errors = _path_errors(_Planned(profile, tick_s), laws, np.array([phase, 0.0]).reshape(2, 1, 1))
-    best = int(np.argmin(off(laws.length[:, 0]) + errors[0]))
-    length, (speed, up, down) = float(laws.length[best, 0]), (int(each) for each in finalists[best])
-    at_limit = length > planned and (speed == top_speed or up == top_ramp)
-    return Trapezoid(distance, speed, up, down, length, length - planned, at_limit, float(errors[1, best]))
+    planned = profile.duration_s / tick_s
+    phase, early, late = 0.0, planned - NEAR, planned + NEAR
+    if places is not None:
+        place = places[name]
+        phase, early, late = place.phase, place.last - 1 + NEAR, place.last - NEAR
+    return float(abs(distance)), planned, ramp_s / tick_s, phase, early, late, top_speed, top_ramp
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
@@ -182,7 +228,7 @@ def _ramp_s(name: str, profile: Profile) -> float:
     ]
     first, last = pieces[0], pieces[-1]
     straight = all(j == 0.0 for _, _, j in pieces)
-    ramps = first[1] != 0.0 and math.isclose(first[1], -last[1], rel_tol=1e-6)
+    ramps = first[1] != 0.0 and math.isclose(first[1], -last[1], rel_tol=SYMMETRIC)
     even = abs(first[0] - last[0]) <= SYMMETRIC * profile.duration_s
     if not straight or len(pieces) not in (2, 3) or not ramps or not even or (len(pieces) == 3 and pieces[1][1] != 0.0):
         raise CannotDo(
@@ -197,94 +243,87 @@ def _down(value: float, step: int, most: int) -> int:
     return min(int(value // step) * step, most)
 
 
-def _values(value: Array, step: int, top: int, neighbours: Array) -> Array:
+def _values(value: Array, step: int, top: Array, neighbours: Array) -> Array:
     """Register values about `value`, in steps, from one step to `top`."""
-    return np.clip((np.minimum(value, HUGE) // step + neighbours) * step, step, top)
+    return np.minimum(np.maximum((np.minimum(value, HUGE) // step + neighbours) * step, step), top)
 
 
-def _distinct(candidates: Array) -> Array:
-    """The first few that differ: one may have been found in several ways."""
-    rows: list[list[float]] = candidates.tolist()
+def _best(candidates: Array, ranks: Array) -> list[list[float]]:
+    """The best few that differ, for one may have been found in several ways; where there are fewer, the last again."""
     found: list[list[float]] = []
-    for row in rows:
+    for k in np.argsort(ranks, kind="stable")[:ALIKE]:
+        row: list[float] = candidates[k].tolist()
         if row not in found:
             found.append(row)
             if len(found) == FINALISTS:
                 break
-    return np.array(found)
+    return found + found[-1:] * (FINALISTS - len(found))
 
 
-def _together(*parts: Array) -> Array:
-    """A row for each candidate: speed, ramp up, ramp down."""
-    return np.stack(np.broadcast_arrays(*parts), axis=-1).reshape(-1, 3)
+def _together(speed: Array, up: Array, down: Array) -> Array:
+    """By axis: a row for each candidate."""
+    rows = np.empty((*np.broadcast(speed, up, down).shape, 3))
+    rows[..., 0], rows[..., 1], rows[..., 2] = speed, up, down
+    return rows.reshape(len(rows), -1, 3)
 
 
-def _by_speed(plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model) -> Array:
+def _by_speed(wanted: _Wanted, model: Model) -> Array:
     """Speeds near the plan's own and a ramp up, with the ramp down that makes up for what they leave."""
-    # By axis: speeds, ways to choose the ramps, ramps up, ramps down.
-    speed = _values(np.array(plan.peak * SPEED_UNIT), model.speed_step, top_speed, _ABOUT).reshape(-1, 1, 1, 1)
+    # By axis: moves, speeds, ways to choose the ramps, ramps up, ramps down.
+    way, length, top_speed, top_ramp, peak = (
+        each.reshape(-1, 1, 1, 1, 1)
+        for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.peak)
+    )
+    speed = _values(peak * SPEED_UNIT, model.speed_step, top_speed, _ABOUT.reshape(-1, 1, 1, 1))
     v = speed / SPEED_UNIT
-    pointed = planned * planned / (2.0 * plan.way)  # 1/up + 1/down of a move that does not come to its speed
-    inverse = np.concatenate([2.0 * (planned - plan.way / v) / v, np.full_like(v, pointed)], axis=1)
+    inverse = np.empty((len(v), v.shape[1], 2, 1, 1))
+    inverse[:, :, :1] = 2.0 * (length - way / v) / v
+    inverse[:, :, 1:] = length * length / (2.0 * way)  # 1/up + 1/down of a move that does not come to its speed
     with np.errstate(divide="ignore"):
-        wanted = np.where(inverse > 0.0, 2.0 / inverse, math.inf) * RAMP_UNIT
-        up = _values(wanted, model.ramp_step, top_ramp, _ABOUT.reshape(1, 1, -1, 1))
+        even = np.where(inverse > 0.0, 2.0 / inverse, math.inf) * RAMP_UNIT
+        up = _values(even, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1))
         rest = inverse - RAMP_UNIT / up
         low = np.where(rest > 0.0, RAMP_UNIT / rest, math.inf)
     return _together(speed, up, _values(low, model.ramp_step, top_ramp, _AND_NEXT))
 
 
-def _by_ramps(plan: _Law, planned: float, top_speed: int, top_ramp: int, model: Model) -> Array:
+def _by_ramps(wanted: _Wanted, model: Model) -> Array:
     """Ramps near the plan's own, with the speed that makes up for what they leave: where ramps are coarse."""
-    # By axis: ramps up, ramps down, speeds.
-    ramps = _values(np.array(plan.up * RAMP_UNIT), model.ramp_step, top_ramp, _ABOUT)
-    up, down = ramps.reshape(-1, 1, 1), ramps.reshape(1, -1, 1)
-    # planned = way/v + v/2 (1/up + 1/down), for v
+    # By axis: moves, ramps up, ramps down, speeds.
+    way, length, top_speed, top_ramp, ramp = (
+        each.reshape(-1, 1, 1, 1)
+        for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.up)
+    )
+    up = _values(ramp * RAMP_UNIT, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1, 1))
+    down = up.swapaxes(1, 2)
+    # length = way/v + v/2 (1/up + 1/down), for v
     half = RAMP_UNIT / 2 * (1.0 / up + 1.0 / down)
-    square = planned * planned - 4.0 * half * plan.way
-    low = np.where(square >= 0.0, planned - np.sqrt(np.maximum(square, 0.0)), math.inf) / (2.0 * half) * SPEED_UNIT
+    square = length * length - 4.0 * half * way
+    low = np.where(square >= 0.0, length - np.sqrt(np.maximum(square, 0.0)), math.inf) / (2.0 * half) * SPEED_UNIT
     return _together(_values(low, model.speed_step, top_speed, _AND_NEXT), up, down)
 
 
-def _apart(plan: _Law, laws: _Law, phase: float) -> Array:
-    """A quick measure of the distance to the plan in counts: that of the two cruises, drawn out over the time between
-    the plan's ramps, when the laws begin `phase` samples later."""
-    rise, fall, _ = plan.joints
-    faster = laws.peak - plan.peak
-    behind = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * phase
-    return np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
-
-
-class _Planned:
-    """The plan in samples: where it is, counts along its way, and its joints."""
-
-    def __init__(self, profile: Profile, tick_s: float) -> None:
-        begin_s, _, *self._motion = np.array(profile.segments).T
-        self._begin, self._tick_s = begin_s, tick_s
-        self._way = profile.end_counts - profile.start_counts
-        self._end_s = profile.duration_s
-        self.length = profile.duration_s / tick_s
-        self.joints: Array = begin_s / tick_s
-
-    def at(self, samples: Array) -> Array:
-        time_s = samples * self._tick_s
-        k = np.maximum(np.searchsorted(self._begin, time_s, side="right") - 1, 0)
-        t = np.maximum(time_s - self._begin[k], 0.0)
-        position, velocity, acceleration, jerk = (each[k] for each in self._motion)
-        where = position + t * (velocity + t * (acceleration / 2 + t * jerk / 6))
-        return math.copysign(1.0, self._way) * np.where(time_s >= self._end_s, self._way, where)
-
-
-def _path_errors(plan: _Planned, laws: _Law, phases: Array) -> Array:
-    """Largest distance between plan and the execution of each law (last axis) when that starts so many samples later,
-    in counts.
+def _path_errors(wanted: _Wanted, laws: _Law) -> Array:
+    """Largest distance between plan and the execution of each law, in counts. By axis: moves; as it lies on the
+    samples, and about T0; laws.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
-    grid = _GRID * np.maximum(laws.length, plan.length)
-    joints = np.broadcast_to(plan.joints, (len(grid), len(plan.joints)))
-    own = np.concatenate(laws.joints, axis=1)
-    parts = (np.broadcast_to(each, (len(phases), *each.shape)) for each in (joints, grid))
-    instants = np.concatenate([*parts, phases + own], axis=2)
-    return 0.5 + abs(laws.at(instants - phases) - plan.at(instants)).max(axis=2)
+    # By axis: moves, phases, laws, instants.
+    phases = np.concatenate([wanted.phase, np.zeros_like(wanted.phase)], axis=1)[:, :, None, None]
+    plan = _deeper(wanted.plan, (1, 1, 1))
+    laws = _deeper(laws, (1, laws.length.shape[1], 1))
+    own, joints, grid = np.concatenate(laws.joints, axis=3), np.concatenate(plan.joints, axis=3), len(_GRID)
+    instants = np.empty((len(phases), 2, own.shape[2], grid + 6))
+    instants[..., :grid] = _GRID * np.maximum(laws.length, plan.length)
+    instants[..., grid : grid + 3] = joints
+    instants[..., grid + 3 :] = phases + own
+    return 0.5 + abs(laws.at(instants - phases) - plan.at(instants)).max(axis=3)
+
+
+def _deeper(law: _Law, shape: tuple[int, ...]) -> _Law:
+    """With further axes behind that of the moves."""
+    way = law.way.reshape(-1, 1, 1, 1)
+    peak, up, down, length = (each.reshape(-1, *shape) for each in (law.peak, law.up, law.down, law.length))
+    return _Law(way, peak, up, down, length)

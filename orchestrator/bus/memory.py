@@ -185,7 +185,7 @@ class MemoryNet:
 
     def at(self, at_ns: int, call: Callable[[], None]) -> None:
         """Let the medium do something later, in its own context whoever asked."""
-        self.clock.call_at_ns(at_ns, call, self._context)
+        self.clock.call_at_ns(at_ns, call, context=self._context)
 
     def arrival_ns(self, priority: Priority = Priority.EVENT) -> int:
         """When something that leaves now is through the medium."""

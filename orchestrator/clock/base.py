@@ -37,8 +37,11 @@ class Clock(Protocol):
         """The present instant as RFC 3339 UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
         ...
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> Timer:
-        """Call `callback` at `at_ns`, never earlier; at once (but not before this returns) if it is past."""
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> Timer:
+        """Call `callback` at `at_ns`, never earlier; at once (but not before this returns) if it is past.
+
+        leeway_ns: by so much it may be later, live, where each call wakes a process.
+        """
         ...
 
 

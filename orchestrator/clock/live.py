@@ -69,5 +69,5 @@ class LiveClock:
     def utc(self) -> str:
         return rfc3339(datetime.now(UTC))
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> _LiveTimer:
-        return _LiveTimer(at_ns, callback)
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> _LiveTimer:
+        return _LiveTimer(at_ns + leeway_ns, callback)

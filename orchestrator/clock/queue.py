@@ -33,7 +33,8 @@ class EventQueue:
     def utc(self) -> str:
         return virtual_utc(self._now_ns)
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> _Call:
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> _Call:
+        del leeway_ns
         call = _Call(callback)
         heapq.heappush(self._heap, (max(at_ns, self._now_ns), self._asked, call))
         self._asked += 1

@@ -265,8 +265,11 @@ class VirtualClock:
     def utc(self) -> str:
         return virtual_utc(self.loop.now_ns + self.wall_step_ns)
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None], context: Context | None = None) -> _Handle:
-        """context: the process that the call belongs to; the caller's without one."""
+    def call_at_ns(
+        self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0, context: Context | None = None
+    ) -> _Handle:
+        """Exactly then. context: the process that the call belongs to; the caller's without one."""
+        del leeway_ns
         return self.loop.call_at_ns(at_ns, callback, context=context)
 
 

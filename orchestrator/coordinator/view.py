@@ -81,7 +81,7 @@ class FleetView:
         """The state as it is now, asked for. Raises `BusError`."""
         payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
         state = ControllerState.model_validate_json(payload)
-        self._take_state(Sample("", payload))
+        self._take(state)
         return state
 
     async def info(self, controller: str) -> Info:
@@ -110,7 +110,10 @@ class FleetView:
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError as error:
             self._log.warning(f"a state that can not be read on {sample.key}: {error.errors()[0]['msg']}")
-            return
+        else:
+            self._take(state)
+
+    def _take(self, state: ControllerState) -> None:
         if state.controller not in self.fleet.controllers:
             return
         self._states[state.controller] = state

@@ -338,7 +338,7 @@ class _Play:
                 if reached is not None:
                     self._jogging = True
                     at_ns = self._clock.now_ns() + self._draw.randrange(_JOG_NS)
-                    self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), Context())
+                    self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), context=Context())
                 with suppress(Refused):
                     for _ in range(renewals):
                         await sleep_ns(self._clock, RENEWED_NS)
@@ -371,7 +371,9 @@ class _Play:
         if at_ns is not None:
             self._target = None
             step = asked.step
-            self._clock.call_at_ns(at_ns, lambda: None if reached.done() else reached.set_result(step), Context())
+            self._clock.call_at_ns(
+                at_ns, lambda: None if reached.done() else reached.set_result(step), context=Context()
+            )
 
     def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
         """When to break it, as soon as that can be told."""

@@ -256,7 +256,7 @@ class Breaker:
 
     def _later(self, after_ns: int, call: Callable[[], None]) -> None:
         """Outside of every process."""
-        self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, Context())
+        self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, context=Context())
 
 
 def _nothing() -> None:

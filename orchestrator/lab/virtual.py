@@ -186,7 +186,7 @@ class VirtualFleet:
         def changed(output: int, on: bool) -> None:
             if output == number:
                 # A wire belongs to no process.
-                self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: feed(on), Context())
+                self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: feed(on), context=Context())
 
         self.within(connection.source, lambda unit: unit.on_output(changed))
         feed(source.output(number))

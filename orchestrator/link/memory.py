@@ -124,7 +124,7 @@ class MemoryWire:
 
     def later(self, at_ns: int, callback: Callable[[], None]) -> None:
         """Call `callback` at `at_ns` as a thing of the wire, which no process can hang."""
-        self.clock.call_at_ns(at_ns, callback, self._outside)
+        self.clock.call_at_ns(at_ns, callback, context=self._outside)
 
     def kept_a_start(self, start_ns: int) -> bool:
         """Whether a line that may have had to do with a start at that instant was late: nobody can know of it."""

@@ -38,9 +38,17 @@ class Segment(NamedTuple):
         )
 
 
-# Not frozen: a plan of 64 axes makes 64 of these, and freezing would double the cost of each.
+class _Integrated:
+    """Room for what a profile's segments have once come to."""
+
+    __slots__ = ("_segments",)
+
+    _segments: list[Segment]
+
+
+# Not frozen, though nobody changes one: a plan of 64 axes makes 64 of these, and freezing would double their cost.
 @dataclass(slots=True)
-class Profile:
+class Profile(_Integrated):
     """A motion from rest to rest.
 
     start_counts, end_counts: absolute commanded positions of the controller, exact.
@@ -65,10 +73,17 @@ class Profile:
     @property
     def segments(self) -> list[Segment]:
         """The segments in counts, each with its start; what evaluation and lowering work on."""
+        try:
+            return self._segments
+        except AttributeError:
+            self._segments = self._integrated()
+            return self._segments
+
+    def _integrated(self) -> list[Segment]:
         segments: list[Segment] = []
         clock_s = position = velocity = 0.0
         scale = self.scale_counts
-        # `Segment.at` written out: a fleet's lowering and planning come here some thousand times a step.
+        # `Segment.at` written out: a fleet's lowering and planning come here some hundred times a step.
         for t, plain_a, plain_j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
             a, j = plain_a * scale, plain_j * scale
             segments.append(Segment(clock_s, t, position, velocity, a, j))

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import json
 import os
+import selectors
 import signal
 import sys
 from collections.abc import Sequence
@@ -48,11 +49,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parse_arguments(arguments)
     hurry(Urgency.BUS)
     try:
-        asyncio.run(_run(chosen))
+        with asyncio.Runner(loop_factory=_exact_loop) as runner:
+            runner.run(_run(chosen))
     except CannotStart as error:
         sys.stderr.write(f"{chosen.name}: {error}\n")
         return 2
     return 0
+
+
+def _exact_loop() -> asyncio.AbstractEventLoop:
+    """A loop that wakes up to the microsecond, as firmware does: the usual one rounds up to the next millisecond."""
+    return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
 
 async def _run(chosen: argparse.Namespace) -> None:

@@ -22,6 +22,7 @@ class _Handle(asyncio.Protocol):
         self._server = server
         self._transport: asyncio.Transport | None = None
         self._far: Connection | None = None
+        self._unsent: list[bytes] = []
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -48,11 +49,19 @@ class _Handle(asyncio.Protocol):
 
     def hang_up(self) -> None:
         """The controller ends the connection, after what it has said."""
+        self._flush()
         if self._transport is not None:
             self._transport.close()
 
     def _send(self, data: bytes) -> None:
-        if self._transport is None or self._transport.is_closing():
+        """What is said in one go leaves in one packet: each wakes whoever reads it."""
+        if not self._unsent:
+            asyncio.get_running_loop().call_soon(self._flush)
+        self._unsent.append(data)
+
+    def _flush(self) -> None:
+        data, self._unsent = b"".join(self._unsent), []
+        if not data or self._transport is None or self._transport.is_closing():
             return
         if self._transport.get_write_buffer_size() > UNREAD_BYTES:
             self._transport.abort()

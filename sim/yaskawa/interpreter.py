@@ -1,10 +1,10 @@
 """The one interpreter that threads and ports share, line by line (L1626, L14633, D27)."""
 
 from collections.abc import Callable
-from functools import partial
 from math import inf
 from typing import TYPE_CHECKING
 
+from orchestrator.clock.base import NS_PER_MS, Timer
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.statements import Raw, Statement, compile_line
@@ -21,6 +21,12 @@ _LOOPS_PER_SAMPLE = 4
 
 NO_BREAK = -2147483648
 
+LEEWAY_NS = 20 * NS_PER_MS
+"""How late, live, a program may be seen to that does nothing but wait and jump, and the first of several commands that
+came together: sixteen that poll a gate are woken for each command else, and keep two processors from what they are
+there for. Who looks finds all where it should be."""
+_UNSEEN = ("WT", "JP", "#")
+
 
 class Interpreter:
     """Takes turns: one command of a port, one line of a thread. Each command takes `decode` device time."""
@@ -34,6 +40,8 @@ class Interpreter:
         self.decoded_ns = NEVER_NS
         """True instant at which the command under way will have been decoded."""
         self._decoding: tuple[Port | None, Thread | None] = (None, None)
+        self._timer: Timer | None = None
+        self._lenient = False
         self.trace = False
         self.break_at: tuple[int, int] | None = None
         self.break_hit = False
@@ -51,8 +59,8 @@ class Interpreter:
         """Power-up: nothing runs."""
         for thread in self.threads:
             thread.halt()
-        self.busy = self.trace = self.break_hit = self.interrupts_on = False
-        self.decoded_ns = NEVER_NS
+        self.trace = self.break_hit = self.interrupts_on = False
+        self._forget()
         self.break_at = None
         self.interrupts = self.active_high = 0
         self._current = None
@@ -75,6 +83,15 @@ class Interpreter:
                 due = min(due, port.trip.due(self.machine, now))
         return due
 
+    def unseen_at(self, due: float, now: int) -> bool:
+        """Whether those that are due by then are programs that only wait and jump."""
+        if any(port.trip is not None for port in self.machine.ports.all()):
+            return False
+        return all(
+            thread.trip is None or thread.trip.due(self.machine, now) > due or self.unseen(thread)
+            for thread in self.threads
+        )
+
     def release(self, now: int) -> None:
         """Let go what has waited for something that has happened."""
         for thread in self.threads:
@@ -87,6 +104,8 @@ class Interpreter:
 
     def pump(self) -> None:
         """Run whatever is ready; come back by the clock when commands take time."""
+        if self.busy and self._lenient and any(port.queue for port in self.machine.ports.all()):
+            self._come_back(0)
         while not self.busy:
             port, thread = self._choose()
             if port is None and thread is None:
@@ -96,21 +115,35 @@ class Interpreter:
                 self._perform(port, thread)
                 continue
             self.busy = True
-            timebase = self.machine.timebase
-            due_ns = self.decoded_ns = timebase.after_ns(delay_ns)
+            self.decoded_ns = self.machine.timebase.after_ns(delay_ns)
             self._decoding = (port, thread)
-            timebase.clock.call_at_ns(due_ns, partial(self._decode_by, due_ns))
+            self._come_back(self._leeway_ns(port, thread, delay_ns))
 
-    def _decode_by(self, due_ns: int) -> None:
-        """Its time has come, unless it has been run already, or a reset came between."""
-        if due_ns == self.decoded_ns:
-            self.decoded()
+    def _leeway_ns(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> int:
+        if port is not None:
+            # What came together is answered together.
+            return min(LEEWAY_NS, (len(port.queue) - 1) * delay_ns)
+        return LEEWAY_NS if thread is not None and self.unseen(thread) else 0
+
+    def _come_back(self, leeway_ns: int) -> None:
+        """When the command under way has been decoded."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._lenient = leeway_ns > 0
+        self._timer = self.machine.timebase.clock.call_at_ns(self.decoded_ns, self._decode, leeway_ns)
+
+    def _decode(self) -> None:
+        self.decoded()
+        self.machine.catch_up()
+
+    def unseen(self, thread: Thread) -> bool:
+        """Whether all that the rest of its line does is to wait and to jump."""
+        return all(each.op in _UNSEEN for each in self.line(thread.line)[thread.index :])
 
     def decoded(self) -> None:
         """The command under way has been decoded, at its `decoded_ns`: run it."""
         (port, thread), due_ns = self._decoding, self.decoded_ns
-        self.busy = False
-        self.decoded_ns = NEVER_NS
+        self._forget()
         timebase = self.machine.timebase
         timebase.due_ns = due_ns
         try:
@@ -119,6 +152,14 @@ class Interpreter:
             self.machine.go_on()
         finally:
             timebase.due_ns = None
+
+    def _forget(self) -> None:
+        """Nothing is being decoded any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self.busy = False
+        self.decoded_ns = NEVER_NS
 
     def _choose(self) -> "tuple[Port | None, Thread | None]":
         current = self._current

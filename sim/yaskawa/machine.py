@@ -14,7 +14,7 @@ from sim.yaskawa.errors import CommandError
 from sim.yaskawa.events import Events
 from sim.yaskawa.expressions import compile_expression
 from sim.yaskawa.formats import Format, Layout
-from sim.yaskawa.interpreter import Interpreter
+from sim.yaskawa.interpreter import LEEWAY_NS, Interpreter
 from sim.yaskawa.io import Points
 from sim.yaskawa.memory import Memory
 from sim.yaskawa.modbus import RemotePoints
@@ -160,7 +160,8 @@ class Machine:
         self.events.poll()
         self.interpreter.pump()
         now = self.now()
-        due = min(self.motion.due(), self.interpreter.due(now), self.recorder.due)
+        soon = min(self.motion.due(), self.recorder.due)
+        due = min(soon, self.interpreter.due(now))
         if due == self._timer_sample:
             return
         if self._timer is not None:
@@ -171,7 +172,9 @@ class Machine:
             due_ns = self.timebase.true_ns(int(max(due, now)))
             if due_ns != NEVER_NS:
                 self._timer_due_ns = due_ns
-                self._timer = self.timebase.clock.call_at_ns(due_ns, self._wake)
+                # Of what is due first only a program that waits may be seen to later.
+                leeway_ns = LEEWAY_NS if due < soon and self.interpreter.unseen_at(due, now) else 0
+                self._timer = self.timebase.clock.call_at_ns(due_ns, self._timed, leeway_ns)
 
     def catch_up(self) -> None:
         """Live, timers are late: what was due before something comes from outside has happened before it."""
@@ -186,6 +189,10 @@ class Machine:
                 self._wake()
             else:
                 self.interpreter.decoded()
+
+    def _timed(self) -> None:
+        self._wake()
+        self.catch_up()
 
     def _wake(self) -> None:
         self._timer = None

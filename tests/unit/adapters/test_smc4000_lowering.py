@@ -211,7 +211,7 @@ def test_the_cost_of_arming_goes_with_what_is_loaded():
 def test_registers_of_a_triangle_and_of_one_count():
     for way in (1, 2, 3, 50):
         profile = trapezoid(0, way, 100_000.0, 1e6)
-        shape = fit("x", profile, Bounds(1e5, 1e6), TICK_NS, SMC4000)
+        shape = fit({"x": profile}, {"x": Bounds(1e5, 1e6)}, TICK_NS, SMC4000)["x"]
         assert math.isfinite(shape.length) and shape.samples >= 1
         lowered = lower({"x": profile})
         assert lowered.durations_s["x"] < 0.02

@@ -12,11 +12,13 @@ from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.program import VARIABLES, program
 from adapters.yaskawa.session import parse_reply
 from adapters.yaskawa.smc4000 import MAKE
-from adapters.yaskawa.trapezoid import Bounds, fit
+from adapters.yaskawa.trapezoid import Bounds, Place, fit
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
+
+TICK_S = 976_562.5e-9
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ def test_registers_never_exceed_the_limits_in_host_time():
         tick_ns = 976_562.5 * (1 + draw.uniform(-1e-4, 1e-4))
         speed, ramp = draw.uniform(5_000, 100_000), draw.uniform(30_000, 1_000_000)
         profile = trapezoid(0, draw.randrange(1_000, 300_000), speed, ramp, draw.choice((1.0, draw.uniform(1, 1.4))))
-        move = fit("x", profile, Bounds(speed, ramp), tick_ns, SMC4000)
+        move = fit({"x": profile}, {"x": Bounds(speed, ramp)}, tick_ns, SMC4000)["x"]
         tick_s = tick_ns * 1e-9
         assert move.speed % 2 == 0 and move.up % 1024 == 0 and move.down % 1024 == 0
         assert move.speed / SPEED_UNIT / tick_s <= speed * (1 + 1e-6)
@@ -55,12 +57,32 @@ def test_registers_never_exceed_the_limits_in_host_time():
 def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_answer():
     tick_ns = 976_500.0
     profile = trapezoid(0, 100_000, 80_001.0, 500_500.0)
-    first = fit("x", profile, Bounds(80_001.0, 500_500.0), tick_ns, SMC4000)
+    first = fit({"x": profile}, {"x": Bounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
     answer_s = first.samples * tick_ns * 1e-9
     assert answer_s > profile.duration_s
     again = profile.stretched(answer_s / profile.duration_s)
-    second = fit("x", again, Bounds(80_001.0, 500_500.0), tick_ns, SMC4000)
+    second = fit({"x": again}, {"x": Bounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
     assert second.samples * tick_ns * 1e-9 == pytest.approx(answer_s, abs=tick_ns * 0.5e-9)
+
+
+@pytest.mark.parametrize("placed", [False, True])
+def test_axes_that_are_fitted_together_are_what_each_is_by_itself(placed: bool):
+    draw = Random(8)
+    coarse = 0
+    for _ in range(60):
+        profiles, bounds, places = dict[str, Profile](), dict[str, Bounds](), dict[str, Place]()
+        for axis in "xyzw":
+            # Slow and gentle ones are searched twice.
+            speed, ramp = draw.choice([(50.0, 2_000.0), (5e4, 5e5)])
+            profiles[axis] = trapezoid(0, draw.randrange(1, round(3 * speed)), speed, ramp, draw.uniform(1, 1.4))
+            bounds[axis] = Bounds(speed, ramp)
+            places[axis] = Place(draw.uniform(-0.5, 0.5), max(1, round(profiles[axis].duration_s / TICK_S)))
+            coarse += speed < 100
+        together = fit(profiles, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
+        for axis, profile in profiles.items():
+            alone = fit({axis: profile}, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
+            assert together[axis] == alone[axis]
+    assert 60 < coarse < 180
 
 
 @pytest.mark.parametrize(
@@ -73,7 +95,7 @@ def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_an
 )
 def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
     with pytest.raises(CannotDo) as refusal:
-        fit("x", profile, Bounds(1e5, 1e6), 976_562.5, SMC4000)
+        fit({"x": profile}, {"x": Bounds(1e5, 1e6)}, 976_562.5, SMC4000)
     assert refusal.value.refusal.code == code
     assert "axis x" in refusal.value.refusal.text
 

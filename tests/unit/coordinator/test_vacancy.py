@@ -37,8 +37,9 @@ class Drowsy:
     def now_ns(self) -> int:
         return self._clock.now_ns()
 
-    def call_at_ns(self, at_ns: int, callback: Callable[[], None]) -> object:
-        return self._clock.call_at_ns(self.until_ns if self._from_ns < at_ns < self.until_ns else at_ns, callback)
+    def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> object:
+        at_ns = self.until_ns if self._from_ns < at_ns < self.until_ns else at_ns
+        return self._clock.call_at_ns(at_ns, callback, leeway_ns)
 
 
 def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
