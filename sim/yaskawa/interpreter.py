@@ -120,6 +120,8 @@ class Interpreter:
             self._come_back(self._leeway_ns(port, thread, delay_ns))
 
     def _leeway_ns(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> int:
+        if any(each.queue for each in self.machine.ports.all() if each is not port):
+            return 0
         if port is not None:
             # What came together is answered together.
             return min(LEEWAY_NS, (len(port.queue) - 1) * delay_ns)

@@ -10,9 +10,14 @@ class Desk:
     """One controller with an open connection, on virtual time."""
 
     def __init__(
-        self, port: str = "tcp", timing: Timing | None = None, oscillator: Oscillator | None = None, **options: object
+        self,
+        port: str = "tcp",
+        timing: Timing | None = None,
+        oscillator: Oscillator | None = None,
+        clock: EventQueue | None = None,
+        **options: object,
     ) -> None:
-        self.clock = EventQueue()
+        self.clock = clock or EventQueue()
         self.unit = SMC4000.build(self.clock, options, timing=timing, oscillator=oscillator)
         self.heard = b""
         self.hung_up = False
