@@ -36,9 +36,6 @@ from orchestrator.model.fleet import Controller, Fleet
 
 BEAT_S = 0.05
 STOP_S = 1.0  # for the stop orders to leave when it ends
-# The bus's threads share the interpreter with the loop that stamps what controllers send. Python lets a thread keep
-# it for 5 ms by default, which would widen every stamp by as much.
-SWITCH_S = 0.0005
 CLOSE_S = 2.0  # for links and bus to be left in order
 
 BAD_INPUT = 2
@@ -143,7 +140,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
-        sys.setswitchinterval(SWITCH_S)
         hurry(Urgency.SERVICE)
         asyncio.run(_run(chosen, fleet, open_sink(chosen.log)))
     except BadInput as error:

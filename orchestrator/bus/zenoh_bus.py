@@ -50,6 +50,7 @@ _REFUSED = "text/plain;refused"
 """Encoding of a refusal. Error replies that Zenoh makes itself (a time-out) have another."""
 
 T = TypeVar("T")
+A = TypeVar("A")
 
 _LOG = logging.getLogger(__name__)
 
@@ -64,6 +65,12 @@ def _priority(sample: zenoh.Sample) -> Priority:
     if sample.priority == zenoh.Priority.REAL_TIME:
         return Priority.ESTOP
     return Priority.STATE if sample.priority == zenoh.Priority.DATA else Priority.EVENT
+
+
+def _direct(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
+    """A callback on Zenoh's own network thread, which must only hand over what has come, as an inbox does. By default
+    Zenoh makes a thread for each callback, which for a question means each time that it is asked."""
+    return Callback(arrive, end, indirect=False)
 
 
 class _Declaration:
@@ -129,7 +136,7 @@ class ZenohBus:
                 self._inbox.add(_priority(sample), partial(deliver, ours))
 
         check_expression(expression)
-        subscriber = await self._declare(lambda: self._lossy.declare_subscriber(expression, arrive))
+        subscriber = await self._declare(lambda: self._lossy.declare_subscriber(expression, _direct(arrive)))
         declaration.take(subscriber.undeclare)
         return declaration
 
@@ -148,7 +155,9 @@ class ZenohBus:
             self._inbox.add(Priority.EVENT, partial(start, query))
 
         check_expression(expression)
-        queryable = await self._declare(lambda: self._sure.declare_queryable(expression, arrive, complete=False))
+        queryable = await self._declare(
+            lambda: self._sure.declare_queryable(expression, _direct(arrive), complete=False)
+        )
         declaration.take(queryable.undeclare)
         return declaration
 
@@ -217,7 +226,7 @@ class ZenohBus:
                 return
             self._sure.get(
                 key,
-                Callback(arrive, partial(self._inbox.add, Priority.EVENT, end)),
+                _direct(arrive, partial(self._inbox.add, Priority.EVENT, end)),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s + _QUERY_MARGIN_S,
@@ -263,7 +272,7 @@ class ZenohBus:
 
         check_expression(expression)
         subscriber = await self._declare(
-            lambda: self._lossy.liveliness().declare_subscriber(expression, arrive, history=True)
+            lambda: self._lossy.liveliness().declare_subscriber(expression, _direct(arrive), history=True)
         )
         declaration.take(subscriber.undeclare)
         return declaration

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import sys
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -21,14 +22,21 @@ def boot_id() -> str:
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
-def begin_live() -> None:
-    """To be called once all is loaded: what is alive now is not looked through for garbage any more.
+SWITCH_S = 0.0005
+"""The bus's threads share the interpreter with the loop that stamps what controllers send. Python lets a thread keep it
+for 5 ms by default, which would widen every stamp, and hold up every message, by as much."""
 
-    Python stops a process for that again and again, for as long as it has objects: 30 ms with what an adapter host has
-    loaded, in which nothing is sent, stamped or stopped. Afterwards it looks through what came later alone.
+
+def begin_live() -> None:
+    """To be called once all is loaded: what is alive now is not looked through for garbage any more, and threads take
+    short turns.
+
+    Python stops a process for its garbage again and again, for as long as it has objects: 30 ms with what an adapter
+    host has loaded, in which nothing is sent, stamped or stopped. Afterwards it looks through what came later alone.
     """
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
 
 
 class _LiveTimer:

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS
 
-KEPT = 16  # of the newest steps
+KNOWN = 16  # steps from which on what was seen counts
+KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
 GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
@@ -26,7 +27,7 @@ class _Seen:
 
     @property
     def known(self) -> bool:
-        return len(self._kept) == KEPT
+        return len(self._kept) >= KNOWN
 
     def add(self, took: float) -> None:
         self._kept.append(took)
@@ -72,7 +73,7 @@ class Pace:
             seen.forget()
 
     def share(self, member: str) -> float:
-        """The part of its declared arming that a member needs; at least 1 until it has been armed `KEPT` times."""
+        """The part of its declared arming that a member needs; at least 1 until it has been armed `KNOWN` times."""
         seen = self._shares.get(member)
         return 1.0 if seen is None else seen.allow(1.0)
 

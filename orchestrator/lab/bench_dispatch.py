@@ -15,7 +15,7 @@ from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.pace import KEPT
+from orchestrator.coordinator.pace import KEPT, KNOWN
 from orchestrator.lab.bench_fleet import Steps, measured_fleet, run_steps
 from orchestrator.lab.bench_spread import Noise, Spread, spread
 from orchestrator.lab.bench_truth import NothingHappened, Truth
@@ -128,7 +128,7 @@ async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
     tutti = virtual.client()
     await run_steps(tutti, _preparation(fleet))
     found: _Round | None = None
-    for k in range(KEPT + 1):
+    for k in range(KNOWN + 1):
         await sleep_ns(clock, NS_PER_S)
         before = {name: len(each.motions) for name, each in virtual.controllers.items()}
         asked_ns = clock.now_ns()

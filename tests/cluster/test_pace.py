@@ -7,7 +7,7 @@ import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.pace import GO_ROOM, KEPT, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
+from orchestrator.coordinator.pace import GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -26,12 +26,12 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
             assert t0_ns is not None
             return t0_ns - asked_ns
 
-        waits = [await waited_ns(k) for k in range(KEPT + 2)]
-        assert min(waits[:KEPT]) - waits[-1] > 100 * NS_PER_MS
+        waits = [await waited_ns(k) for k in range(KNOWN + 2)]
+        assert min(waits[:KNOWN]) - waits[-1] > 100 * NS_PER_MS
         # The network becomes slow: what was known is wrong, and the declared times count again.
         for wire in fleet.wires.values():
             wire.model = replace(wire.model, latency_ns=3 * NS_PER_MS)
-        slow = await waited_ns(KEPT)
+        slow = await waited_ns(KNOWN)
         assert slow > waits[-1]
         assert any("arming again with more lead" in line for line in fleet.lines)
 
@@ -42,7 +42,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
 def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: int, why: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        for k in range(KEPT):
+        for k in range(KNOWN):
             await outcome(fleet, job(STEPS % (10 + k % 2, 1 + k % 2), max_start_skew="20 ms"))
         starts = {name: len(each.motions) for name, each in fleet.controllers.items()}
 
@@ -66,11 +66,11 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
 
 def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late() -> None:
     pace = Pace()
-    for k in range(KEPT):
+    for k in range(KNOWN):
         assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
         pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
-    assert pace.share("a") == pytest.approx(ROOM * (10 + KEPT - 1) / 100)
+    assert pace.share("a") == pytest.approx(ROOM * (10 + KNOWN - 1) / 100)
     assert pace.share("b") == 1.0
     assert pace.go_ns == round(GO_ROOM * 10 * NS_PER_MS)
     # For the whole release, and what go is given beyond what it takes.
@@ -90,4 +90,14 @@ def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
     assert pace.margin_ns == 2 * MARGIN_NS
     for _ in range(KEPT):
         pace.armed({"a": 100}, {"a": 50})
+    assert pace.share("a") == pytest.approx(ROOM * 0.5)
+
+
+def test_the_slowest_of_many_steps_is_remembered_for_longer_than_it_takes_to_know_a_fleet() -> None:
+    pace = Pace()
+    pace.armed({"a": 100}, {"a": 90})
+    for _ in range(KEPT - 1):
+        pace.armed({"a": 100}, {"a": 50})
+    assert pace.share("a") == pytest.approx(ROOM * 0.9)
+    pace.armed({"a": 100}, {"a": 50})
     assert pace.share("a") == pytest.approx(ROOM * 0.5)
