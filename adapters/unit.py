@@ -88,6 +88,7 @@ class Unit:
         )
         self._commands = Commands(seat, parts, self)
         self._stop_owed = False
+        self._met = False
         self._poke = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
@@ -183,6 +184,7 @@ class Unit:
     async def _serve(self) -> None:
         """Poll and publish until the link breaks or the controller stops making sense."""
         self._condition.faults = []
+        self._met = True
         await self.refresh()
         identity = self._condition.identity
         self._presenter.emit("online", f"{self._seat.make.name} {identity.firmware if identity else ''}".strip())
@@ -227,8 +229,13 @@ class Unit:
     # What polls show
 
     async def refresh(self) -> None:
-        """Read the controller and publish what is new."""
-        self._take(await self._driver.poll())
+        """Read the controller and publish what is new. Raises `LinkClosed` until it has been met: while it is, it
+        answers, but what it is loaded with is not ours."""
+        reading = await self._driver.poll() if self._met else None
+        # It may have been lost while the poll waited for its turn on the line.
+        if reading is None or not self._met:
+            raise LinkClosed("the controller is still to be met")
+        self._take(reading)
         self._presenter.publish()
 
     def _take(self, reading: Reading) -> None:
@@ -303,6 +310,7 @@ class Unit:
 
     def _offline(self, fault: Fault) -> None:
         condition, member = self._condition, self._member
+        self._met = False
         before, condition.reading = condition.reading, None
         was_online = before is not None
         condition.faults = [fault]

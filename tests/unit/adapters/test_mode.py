@@ -18,6 +18,7 @@ from adapters.seat import Seat
 from adapters.unit import Unit
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import JogRequest
 
@@ -276,3 +277,32 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
 
     run_virtual(main)
     assert told == [*["stop", "connect"] * 3, "stop again", "stopped", "connect"]
+
+
+@pytest.mark.parametrize("lost_ms", [0, 50])
+def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> None:
+    """A command may find a controller that answers already, whose program is still being looked at; or its poll waits
+    for its turn on a line that is lost and met again meanwhile."""
+    taken: list[int] = []
+
+    async def main(clock: VirtualClock) -> None:
+        async def poll() -> Reading:
+            await sleep_ns(clock, 100 * NS_PER_MS)
+            return Reading(clock.now_ns(), {})
+
+        unit = SimpleNamespace(
+            _driver=SimpleNamespace(poll=poll),
+            _met=lost_ms > 0,
+            _take=lambda reading: taken.append(reading.at_ns),
+            _presenter=SimpleNamespace(publish=nothing),
+        )
+        refreshing = asyncio.ensure_future(Unit.refresh(cast(Unit, unit)))
+        await sleep_ns(clock, lost_ms * NS_PER_MS)
+        unit._met = False
+        with pytest.raises(LinkClosed, match="still to be met"):
+            await refreshing
+        unit._met = True
+        await Unit.refresh(cast(Unit, unit))
+
+    run_virtual(main)
+    assert len(taken) == 1
