@@ -48,7 +48,7 @@ class Controller:
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         machine = self.machine
-        machine.settle()
+        machine.look()
         limits, name = machine.world.limits, self._axis(axis).name
         if which == "none":
             limits.pop(name, None)
@@ -60,7 +60,7 @@ class Controller:
     def set_home(self, axis: str, level: bool) -> None:
         """The home input of an axis; True is high."""
         machine = self.machine
-        machine.settle()
+        machine.look()
         found = self._axis(axis)
         changed = machine.world.home_level(found.name, found.physical(machine.now())) != level
         machine.world.home[found.name] = level
@@ -70,7 +70,7 @@ class Controller:
 
     def set_stalled(self, axis: str, stalled: bool) -> None:
         machine = self.machine
-        machine.settle()
+        machine.look()
         found = self._axis(axis)
         found.stalled = stalled
         if stalled:
@@ -82,7 +82,7 @@ class Controller:
     def push(self, axis: str, counts: int) -> None:
         """A servo's encoder sees it; a stepper counts its own steps, and its encoder is not modelled (L14141)."""
         machine = self.machine
-        machine.settle()
+        machine.look()
         found = self._axis(axis)
         if found.frozen is None or found.stalled:
             raise ValueError(f"axis {axis}: its motor holds it, or it is stuck")
@@ -101,31 +101,31 @@ class Controller:
     def position(self, axis: str) -> float:
         """Commanded position now, in counts: on the profile while it moves, a whole count at rest."""
         machine = self.machine
-        machine.settle()
+        machine.look()
         found, instant = self._axis(axis), machine.timebase.instant()
         if found.modulus or found.turned is not None or found.command_velocity(instant) == 0.0:
             return float(found.reported(found.reference(machine.now())))
         return found.command(instant)
 
     def place(self, axis: str) -> float:
-        self.machine.settle()
+        self.machine.look()
         return float(self._axis(axis).physical(self.machine.now()))
 
     def velocity(self, axis: str) -> float:
         """Commanded velocity, counts per true second."""
         machine = self.machine
-        machine.settle()
+        machine.look()
         return self._axis(axis).command_velocity(machine.timebase.instant()) * machine.timebase.sample_rate()
 
     def moving(self, axis: str) -> bool:
         machine = self.machine
-        machine.settle()
+        machine.look()
         found = self._axis(axis)
         return found.moving or found.command_velocity(machine.now()) != 0.0
 
     def at_rest(self) -> bool:
         machine = self.machine
-        machine.settle()
+        machine.look()
         return not (
             machine.motion.active()
             or machine.interpreter.any_running()
@@ -135,7 +135,7 @@ class Controller:
 
     @property
     def motions(self) -> Sequence[Motion]:
-        self.machine.settle()
+        self.machine.look()
         return self.machine.motion.motions
 
     def _axis(self, name: str) -> Axis:

@@ -135,7 +135,9 @@ class Interpreter:
         self._timer = self.machine.timebase.clock.call_at_ns(self.decoded_ns, self._decode, leeway_ns)
 
     def _decode(self) -> None:
-        self.decoded()
+        self.machine.catch_up()
+        if self.decoded_ns <= self.machine.timebase.clock.now_ns():
+            self.decoded()
         self.machine.catch_up()
 
     def unseen(self, thread: Thread) -> bool:

@@ -176,6 +176,11 @@ class Machine:
                 leeway_ns = LEEWAY_NS if due < soon and self.interpreter.unseen_at(due, now) else 0
                 self._timer = self.timebase.clock.call_at_ns(due_ns, self._timed, leeway_ns)
 
+    def look(self) -> None:
+        """Somebody looks, or does something, from outside."""
+        self.catch_up()
+        self.settle()
+
     def catch_up(self) -> None:
         """Live, timers are late: what was due before something comes from outside has happened before it."""
         now_ns = self.timebase.clock.now_ns()
@@ -191,7 +196,11 @@ class Machine:
                 self.interpreter.decoded()
 
     def _timed(self) -> None:
-        self._wake()
+        # What was due before, and could be late, has happened before.
+        self.catch_up()
+        if self._timer is not None and self._timer_due_ns <= self.timebase.clock.now_ns():
+            self._timer.cancel()
+            self._wake()
         self.catch_up()
 
     def _wake(self) -> None:
@@ -254,7 +263,7 @@ class Machine:
         if on == self.powered:
             return
         if not on:
-            self.settle()
+            self.look()
             self.ports.drop_all()
             self.motion.freeze(self.now(), ABORT_CODE)
             for axis in self.motion.all_axes():
@@ -288,7 +297,7 @@ class Machine:
 
     def set_abort_input(self, active: bool) -> None:
         """The abort input: as `AB`, and nothing begins while it is active (D36)."""
-        self.settle()
+        self.look()
         self.motion.abort_input = active
         if active:
             self.abort(ABORT_INPUT_CODE, halt=True)
@@ -298,7 +307,7 @@ class Machine:
         """A local input changes: latches, interrupts, selective abort."""
         if not 1 <= number <= len(self.world.inputs):
             raise ValueError(f"input {number}: this controller has inputs 1 to {len(self.world.inputs)}")
-        self.settle()
+        self.look()
         if self.world.inputs[number - 1] != level:
             self.world.inputs[number - 1] = level
             if self.powered:

@@ -150,7 +150,7 @@ class Peer:
             self._timer = None
         if self.asked == WAITING:
             self.asked = state
-            self.machine.settle()
+            self.machine.look()
             self.machine.go_on()
 
     # The end
@@ -165,7 +165,7 @@ class Peer:
     def lost(self) -> None:
         """The other side has ended the connection: the handle is free, and #TCPERR is called (L4774)."""
         machine = self.machine
-        machine.settle()
+        machine.look()
         self._line = None
         if machine.ports.outgoing.get(self.handle) is self:
             del machine.ports.outgoing[self.handle]

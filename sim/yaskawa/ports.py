@@ -63,8 +63,7 @@ class Port:
         if not self.open:
             return
         machine = self.machine
-        machine.catch_up()
-        machine.settle()
+        machine.look()
         self.heard_ns = machine.timebase.clock.now_ns()
         text = data.decode("latin-1")
         self._packet += 1

@@ -36,8 +36,7 @@ class CommandPort(Port):
         self._fresh = self._fresh or whole
         if whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
             return  # another unit's, as most of what passes on a chain
-        machine.catch_up()
-        machine.settle()
+        machine.look()
         if whole:
             self._append(text[:-1])
             self._end_line(HEARD)
@@ -164,8 +163,7 @@ class GeneralPort(Port):
         baud, _, chained, echo = machine.second_line
         if not self.open or not baud or chained:
             return
-        machine.catch_up()
-        machine.settle()
+        machine.look()
         for character in data.decode("latin-1"):
             if echo:
                 self.emit(character)

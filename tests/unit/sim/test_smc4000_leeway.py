@@ -70,6 +70,28 @@ def test_a_gate_that_is_polled_opens_and_begins_as_it_would_have(seed: int) -> N
     assert made[1] < made[0] / 3
 
 
+def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
+    """Beside its loop another thread waits, which nobody sees, but the next record comes after it, which everybody does
+    who looks."""
+    contour = (
+        "#C;CM X;DT 3;I=0;CD DX[0];I=1\r#P;WC;CD DX[I];I=I+1;JP #P,I<60\rWC;DT 0;CD 0;WC;XEND=TIME;EN\r#D;WT 2;JP #D\r"
+    )
+    told: list[object] = []
+    for clock in (PunctualQueue(), LateQueue()):
+        desk = Desk(clock=clock, timing=Timing(decode_ns=300_000))
+        desk.ask("SHX", "DM DX[60]", wait_s=0.01)
+        desk.ask("\r".join(f"DX[{k}]={10 + k % 7}" for k in range(20)), wait_s=0.1)
+        desk.ask("DL", contour + "\x1a", wait_s=0.01)
+        desk.wait(0.3 - clock.now_ns() * 1e-9)
+        desk.ask("XQ #D,1", "XQ #C,0")
+        for _ in range(100):
+            desk.wait(0.011)
+            assert len(desk.unit.motions) <= 1  # somebody looks, too
+        answer = desk.ask("MG XEND,_RPX,_HX0", wait_s=0.01)
+        told.append((answer, [(each.start_ns, each.end_ns) for each in desk.unit.motions]))
+    assert told[0] == told[1]
+
+
 def test_commands_that_came_together_are_answered_when_the_last_one_is() -> None:
     """As late as they may be: the last answer comes when it would have, and the others not after it."""
     ends: list[int] = []
