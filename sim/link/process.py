@@ -49,7 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parse_arguments(arguments)
     hurry(Urgency.BUS)
     try:
-        with asyncio.Runner(loop_factory=_exact_loop) as runner:
+        on_ethernet = chosen.model == "smc4000" and not isinstance(chosen.listen, PtyPlace)
+        with asyncio.Runner(loop_factory=_exact_loop if on_ethernet else None) as runner:
             runner.run(_run(chosen))
     except CannotStart as error:
         sys.stderr.write(f"{chosen.name}: {error}\n")
@@ -58,7 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _exact_loop() -> asyncio.AbstractEventLoop:
-    """A loop that wakes up to the microsecond, as firmware does: the usual one rounds up to the next millisecond."""
+    """A loop that wakes up to the microsecond, as firmware does: the usual one rounds up to the next millisecond.
+
+    Not for serial lines: whoever is woken for each character has no time left for anything else.
+    """
     return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
 
