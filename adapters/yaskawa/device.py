@@ -10,7 +10,8 @@ from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THREAD, VARIABLES, letters, program
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
-from adapters.yaskawa.session import REVISION, Refused, Session, SharedStops, StopHandle
+from adapters.yaskawa.session import REVISION, Refused, Session, message, parse_numbers
+from adapters.yaskawa.stops import SharedStops, StopHandle
 from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
 from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
@@ -174,15 +175,22 @@ class Device:
 
     async def record(self) -> Record:
         """Everything that changes, in one exchange; feeds the clock."""
-        record, _ = await self._read_record()
+        record, _, _ = await self._read_record()
         return record
 
-    async def _read_record(self) -> tuple[Record, bool]:
-        """A record, and whether its sample number went on from the last reading."""
+    async def record_and(self, *operands: str) -> tuple[Record, list[float]]:
+        """A record, and values as `Session.numbers` reads them, in one exchange where that can be."""
+        asked = message(operands)
+        record, _, lines = await self._read_record(asked)
+        return record, parse_numbers("".join(lines[-1:]), len(operands), asked)
+
+    async def _read_record(self, also: str = "") -> tuple[Record, bool, list[str]]:
+        """A record, whether its sample number went on from the last reading, and the lines that answer `also`."""
         layout = self.format
-        answer = await self.session.ask_record(layout.command, layout.header, layout.length)
+        answer = await self.session.ask_record(layout.command, layout.header, layout.length, also)
         record = layout.parse(answer.record, answer.sent_ns, answer.received_ns)
-        return record, self.samples.take_low(self._earliest_ns(record.sent_ns), record.received_ns, record.sample)
+        went_on = self.samples.take_low(self._earliest_ns(record.sent_ns), record.received_ns, record.sample)
+        return record, went_on, answer.lines
 
     async def poll(self) -> tuple[Record, bool]:
         """A record that also feeds the clock; and whether the controller was restarted since the last one."""
@@ -191,7 +199,7 @@ class Device:
         if self._must_reconnect:
             # It lost its settings and maybe its program with its counter: begin again from `connect`.
             raise Restarted()
-        record, went_on = await self._read_record()
+        record, went_on, _ = await self._read_record()
         if not went_on:
             self._must_reconnect = not await self._read_time()
         restarted, self._restarted = self._restarted, False

@@ -184,18 +184,23 @@ class SerialDevice(Device):
         return self._talk
 
     async def record(self) -> Record:
-        record, _ = await self._read_record()
+        record, _ = await self._poll_record()
         return record
 
+    async def record_and(self, *operands: str) -> tuple[Record, list[float]]:
+        record = await self.record()
+        values, _ = await self.session.numbers(*operands)
+        return record, values
+
     async def poll(self) -> tuple[Record, bool]:
-        record, went_on = await self._read_record()
+        record, went_on = await self._poll_record()
         if not went_on:
             self._restarted = True
             raise Restarted()
         restarted, self._restarted = self._restarted, False
         return record, restarted
 
-    async def _read_record(self) -> tuple[Record, bool]:
+    async def _poll_record(self) -> tuple[Record, bool]:
         chained = self._unit is not None
         before = len(smc2000_program.head(chained, self._inputs, self._outputs))
         count = before + AXIS_VALUES * len(self._axes)

@@ -76,10 +76,11 @@ class SerialSession(Session):
         if given:
             await self._told("\r".join(given), still)
 
-    async def values(self, operands: Sequence[str]) -> list[float]:
+    async def values(self, operands: Sequence[str], then: str) -> list[float]:
         found: list[float] = []
         for at in range(0, len(operands), _OPERANDS_OF_LINE):
             found += (await self.numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
+        await self.tell(then)
         return found
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:

@@ -10,14 +10,13 @@ lines before a reply and is kept apart.
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.dialect import MAX_LINE
 from adapters.yaskawa.words import REMEDIES
-from orchestrator.link.base import Link, LinkClosed
+from orchestrator.link.base import Link
 
 MAX_PACKET = 470  # bytes (L1735)
 OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX{F10.0},",",')
@@ -83,12 +82,15 @@ class Session:
         for lines in await self._ask_each(commands, still):
             self.unsolicited.extend(lines)
 
-    async def values(self, operands: Sequence[str]) -> list[float]:
-        """The values of any number of operands, as `numbers` reads them, in one go."""
+    async def values(self, operands: Sequence[str], then: str) -> list[float]:
+        """The values of any number of operands, as `numbers` reads them, and `then` told behind them, in one go.
+
+        Raises `Refused` for what is told.
+        """
         parts = [operands[at : at + OPERANDS_OF_LINE] for at in range(0, len(operands), OPERANDS_OF_LINE)]
-        commands = [_message(part) for part in parts]
+        commands = [message(part) for part in parts]
         found: list[float] = []
-        for part, command, lines in zip(parts, commands, await self._ask_each(commands), strict=True):
+        for part, command, lines in zip(parts, commands, await self._ask_each([*commands, then]), strict=False):
             self.unsolicited.extend(lines[:-1])
             found += parse_numbers("".join(lines[-1:]), len(part), command)
         return found
@@ -152,16 +154,23 @@ class Session:
             self._in_step = True
             return parsed.lines
 
-    async def ask_record(self, command: str, header: bytes, length: int) -> Answer:
-        """A command that is answered by a binary record of `length` bytes that begins with `header`, and a prompt."""
+    async def ask_record(self, command: str, header: bytes, length: int, also: str = "") -> Answer:
+        """A command that is answered by a binary record of `length` bytes that begins with `header`, and a prompt.
+
+        also: asked in the same packet, with data lines in its reply. The answer's instants are those of the record.
+        """
         async with self._turn:
             await self._get_in_step()
+            record: bytes | None = None
+            received_ns = 0
 
-            def whole() -> bytes | None:
+            def take_record() -> bytes | None:
+                """b"": refused."""
                 at = self._buffer.find(header)
                 if at < 0:
                     text = bytes(self._buffer).lstrip(b"\r\n")
-                    if text == b"?":
+                    if text[:1] == b"?" and not text[1:2].isdigit():
+                        self._buffer[:] = text[1:]
                         return b""
                     if len(text) >= length:
                         raise self._garbage(command, f"a record that begins with {header.hex(' ')}", text[:16].hex(" "))
@@ -171,17 +180,27 @@ class Session:
                 if self._buffer[at + length] != ord(":"):
                     end = bytes(self._buffer[at + length :])
                     raise self._garbage(command, f"`:` after {length} bytes", repr(end[:16]))
-                record = bytes(self._buffer[at : at + length])
+                found = bytes(self._buffer[at : at + length])
                 if at:
                     self.unsolicited.append(self._buffer[:at].decode("latin-1").strip())
                 del self._buffer[: at + length + 1]
-                return record
+                return found
 
-            record, sent_ns = await self._exchange(command, whole)
+            def whole() -> _Parsed | None:
+                nonlocal record, received_ns
+                if record is None:
+                    record, received_ns = take_record(), self._at_ns
+                    if record is None:
+                        return None
+                return parse_reply(self._buffer) if also else _Parsed([], False, 0)
+
+            said, sent_ns = await self._exchange(f"{command}\r{also}" if also else command, whole)
             if not record:
                 raise await self._refusal(command)
+            if said.refused:
+                raise await self._refusal(also)
             self._in_step = True
-            return Answer([], record, sent_ns, self._at_ns)
+            return Answer(said.lines, record, sent_ns, received_ns)
 
     def shout(self, *commands: str) -> None:
         """Write at once, whatever is under way, each command in a packet of its own; replies are sorted out later."""
@@ -337,12 +356,12 @@ class Session:
 
     async def numbers(self, *operands: str) -> tuple[list[float], Answer]:
         """The values of operands, variables or expressions, read in one command, with up to four decimals."""
-        command = _message(operands)
+        command = message(operands)
         answer = await self.ask(command)
         return parse_numbers(answer.lines[0], len(operands), command), answer
 
 
-def _message(operands: Sequence[str]) -> str:
+def message(operands: Sequence[str]) -> str:
     """What prints them: with a format of its own (L7558), because a person may have set any; commas between the values,
     because the sign column alone may not part them."""
     return "MG " + ',",",'.join(f"{operand}{{F10.{_decimals(operand)}}}" for operand in operands)
@@ -409,92 +428,3 @@ def write_each(link: Link, commands: Iterable[str]) -> None:
     """Each command in a packet of its own, so that a refused one takes no other with it."""
     for command in commands:
         link.write(command.encode("ascii") + b"\r")
-
-
-class StopHandle:
-    """A handle for stops alone: written at any moment, its replies read away so that none is ever waited for."""
-
-    def __init__(self, link: Link, timeout_s: float) -> None:
-        self._link = link
-        self._timeout_s = timeout_s
-        self._written = 0
-        self._carried_out = 0
-        self._asking = asyncio.Lock()
-        self._markers = 0
-        self._heard = bytearray()
-        self._heard_more = asyncio.Event()
-        self.open = True
-        self._drain = asyncio.get_running_loop().create_task(self._read_away())
-
-    def write(self, *commands: str) -> None:
-        """At once. Raises `LinkClosed`."""
-        self._written += 1
-        write_each(self._link, commands)
-
-    async def carried_out(self) -> None:
-        """Until the controller has carried out all that was written. Raises `DriverFault`, `LinkClosed`.
-
-        It takes the commands of one handle in their order, those of two handles as they come: a stop that it has not
-        come to yet would halt what the other handle begins meanwhile.
-        """
-        async with self._asking:
-            while self._carried_out < self._written:
-                written = self._written
-                self._markers += 1
-                marker = f"<{self._markers}>"
-                self._heard.clear()
-                write_each(self._link, [f'MG "{marker}"'])
-                try:
-                    async with asyncio.timeout(self._timeout_s):
-                        while marker.encode() + b"\r\n:" not in self._heard:
-                            self._heard_more.clear()
-                            await self._heard_more.wait()
-                            if not self.open:
-                                raise LinkClosed(f"{self._link.place} is closed")
-                except TimeoutError:
-                    raise DriverFault(
-                        "no-answer",
-                        f"{self._link.place}: the handle for stops has not answered within {self._timeout_s:g} s",
-                        "check power and cable; is another program holding the controller's interpreter?",
-                    ) from None
-                self._carried_out = written
-
-    async def close(self, goodbye: bytes = b"") -> None:
-        if goodbye and self.open:
-            with suppress(LinkClosed):
-                self._link.write(goodbye)
-        self._drain.cancel()
-        await self._link.close()
-
-    async def _read_away(self) -> None:
-        try:
-            while True:
-                received = await self._link.read()
-                if self._asking.locked():
-                    self._heard += received.data
-                    self._heard_more.set()
-        except LinkClosed:
-            return
-        finally:
-            self.open = False
-            self._heard_more.set()
-
-
-class SharedStops:
-    """Stops on the line that carries everything else, from the next character on."""
-
-    open = True
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def write(self, *commands: str) -> None:
-        """At once. Raises `LinkClosed`."""
-        self._session.shout(*commands)
-
-    async def carried_out(self) -> None:
-        """What comes later on the line is taken later."""
-
-    async def close(self, goodbye: bytes = b"") -> None:
-        """The line belongs to the session."""
-        del goodbye

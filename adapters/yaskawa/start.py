@@ -19,12 +19,11 @@ from adapters.yaskawa.program import (
 )
 from adapters.yaskawa.record import AXIS_LETTERS, Record
 from adapters.yaskawa.words import stop_words
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 
 TICKS_MAX = 2_147_483_647  # L10613
 STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
-TO_THE_GATE = 8  # commands: XQ, the jump to the gate, five settings there, and the first wait
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
@@ -57,7 +56,10 @@ class Start:
     # Before T0
 
     async def arm(self, lowered: LoweredMoves, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load the registers, read them back, and let the program wait behind its gate."""
+        """Load the registers, read them back, and send the program to its gate, where `verify` looks for it.
+
+        It is sent there behind the asking, without waiting for the answers: whatever they are, it goes no further.
+        """
         if mapping is None:
             raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
         began_ns = self._clock.now_ns()
@@ -75,28 +77,20 @@ class Start:
         # The sample of the begin lies beside T0 by a part of one.
         phase = ticks + first - mapping.ticks(t0_ns)
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        shut = ("XGO=0", "XARM=0", "XOK=0", f"HX{DOG_THREAD}")
+        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{DOG_THREAD}")
         await self._load(
             lowered, phase, mapping.tick_ns, (*shut, f"XT0={ticks}", f"XLI={_line(lowered)}", self._food(ticks))
         )
         wired_ns = self._clock.now_ns()
-        await self._read_back(lowered)
-        read_ns = self._clock.now_ns()
-        contour = isinstance(lowered.load, Records)
-        begun = await session.ask(f"XQ {entry(lowered.mask, contour)},{STEP_THREAD}", 0)
         self._loaded = loaded
-        # It is not there before; to ask meanwhile would hold it up.
-        await sleep_until_ns(self._clock, begun.sent_ns + TO_THE_GATE * self._options.decode_us * NS_PER_US)
-        await self._wait_for_program(loaded)
+        await self._read_back(lowered, f"XQ {entry(lowered.mask, isinstance(lowered.load, Records))},{STEP_THREAD}")
         if drives is not None:
             await session.tell_all((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.hold_ticks}"))
             await session.tell(f"XQ #EDGE,{EDGE_THREAD}")
-        done_ns = self._clock.now_ns()
         return {
             "check": checked_ns - began_ns,
             "wire": wired_ns - checked_ns,
-            "verify": read_ns - wired_ns,
-            "arm": done_ns - read_ns,
+            "verify": self._clock.now_ns() - wired_ns,
         }
 
     async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float, gate: Sequence[str]) -> None:
@@ -109,7 +103,8 @@ class Start:
         variables = (f"{name}={value}" for name, value in load.variables.items())
         await session.tell_all((*gate, f"DC {fields(load.brakes)}", *variables))
 
-    async def _read_back(self, lowered: LoweredMoves) -> None:
+    async def _read_back(self, lowered: LoweredMoves, then: str) -> None:
+        """Ask for what was loaded, and tell `then` behind it. Raises `CannotDo` if it is something else."""
         load = lowered.load
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
@@ -119,7 +114,7 @@ class Start:
         if isinstance(load, Records):
             wanted |= load.variables
         wanted["XLI"] = _line(lowered)
-        held = await self._device.session.values(list(wanted))
+        held = await self._device.session.values(list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
                 raise CannotDo("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
@@ -134,18 +129,6 @@ class Start:
         patience_s = self._options.watchdog_s * max(1.0, self._device.sharing / FED_IN_TIME)
         patience = round(patience_s * NS_PER_S / self._device.samples.tick_ns)
         return f"XDL={min(ticks + patience, TICKS_MAX)}"
-
-    async def _wait_for_program(self, loaded: _Loaded) -> None:
-        while True:
-            (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{STEP_THREAD}", "XLATE")
-            waits = int(armed) == loaded.ticks
-            # The program ends by itself, too, when it comes to its gate after that was to be shut.
-            if (waits and late) or self._clock.now_ns() > loaded.t0_ns:
-                raise CannotDo("late", "T0 has come while arming", "give more lead time")
-            if not running:
-                raise CannotDo("not-armed", "the waiting program has ended by itself", "look at TC1; try again")
-            if waits:
-                return
 
     def _require_ready(self, record: Record, lowered: LoweredMoves) -> None:
         if lowered.waits is not None:
@@ -166,14 +149,21 @@ class Start:
                 )
 
     async def verify(self) -> None:
-        """Just before the promise."""
-        loaded = self._require_loaded()
-        self._require_ready(await self._device.record(), loaded.lowered)
-        (armed, running, late), _ = await self._device.session.numbers("XARM", f"_HX{STEP_THREAD}", "XLATE")
-        if late:
-            raise CannotDo("late", "the gate is shut already", "give more lead time")
-        if not running or int(armed) != loaded.ticks:
-            raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+        """Just before the promise: until the program waits at its gate."""
+        loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE")
+        record, (armed, running, late) = await self._device.record_and(*asked)
+        self._require_ready(record, loaded.lowered)
+        while True:
+            # The program ends by itself, too, when it comes to its gate after that was to be shut.
+            if late or self._clock.now_ns() > loaded.t0_ns:
+                raise CannotDo("late", "the gate is shut already", "give more lead time")
+            if not running:
+                raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+            if armed:
+                break
+            (armed, running, late), _ = await self._device.session.numbers(*asked)
+        if int(armed) != loaded.ticks:
+            raise CannotDo("not-armed", "the controller waits for another start", "arm again")
 
     async def go(self) -> None:
         """Open the gate, and see that the program went through."""

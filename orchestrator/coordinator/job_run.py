@@ -97,6 +97,8 @@ class JobRun:
         self._step = row.from_step
         self._step_t0_ns = 0
         self._step_s = 0.0
+        self._seen_ns: int | None = None
+        """Since when its axes rest and nothing has been done with them; None: nobody has looked."""
         self._part = 0.0
         self._doing = ""
         self._paused_by: str | None = None
@@ -161,6 +163,7 @@ class JobRun:
     async def _hold(self) -> None:
         """Wait until somebody resumes the job, if it is paused. Raises `Interrupted` when it is given up."""
         while self._paused_by is not None:
+            self._seen_ns = None
             where = f"before step {self._step}" if self._step == self.row.from_step else f"after step {self._step - 1}"
             if self._part:
                 where = f"in step {self._step}"
@@ -214,6 +217,7 @@ class JobRun:
                 await self._hold()
                 step = self._steps[index]
                 report = await self._run_through_holds(index, step)
+                self._seen_ns = None
                 self._reports.append(report)
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
@@ -273,7 +277,9 @@ class JobRun:
         began_ns = works.clock.now_ns()
         try:
             if isinstance(step, Move):
-                return await works.motion.run(self.row.id, self.job, index, step, on_state, on_started, goal)
+                return await works.motion.run(
+                    self.row.id, self.job, index, step, on_state, on_started, goal, self._seen_ns
+                )
             await on_state("running", "")
             await works.plain.run(step, self.row.id, self.row.actor, on_progress)
         except Refuse as error:
@@ -351,6 +357,7 @@ class JobRun:
         fleet = self._works.view.fleet
         off = [axis for axis in self._moved() if fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)]
         if off:
+            self._seen_ns = None
             await self._works.plain.enable(off, True, self.row.id, self.row.actor)
 
     async def _disable_by_policy(self) -> None:
@@ -369,6 +376,7 @@ class JobRun:
         """Wait until what was stopped, with this job or an earlier reign or hand, has come to the end of its ramp. Who
         does not answer, or takes longer than it has declared, is waited for only as long as that: planning refuses
         it."""
+        self._seen_ns = self._works.clock.now_ns()
         await asyncio.gather(*(self._rests(member) for member in self.members))
 
     async def _rests(self, member: str) -> None:

@@ -81,13 +81,15 @@ class Motion:
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
         on_started: Callable[[int, float], None],
         goal: dict[str, Fraction],
+        seen_ns: int | None,
     ) -> StepReport:
         """Run one move to its end. Raises `Refuse` when nothing has moved; else the report says how it went.
 
-        goal: the exact targets of its axes, empty at first; given again when a step that was held goes on.
+        goal: the exact targets of its axes, empty at first; given again when a step that was held goes on. seen_ns:
+        since when nothing has been done with its axes; None: nobody has looked.
         """
         await on_state("planning", "")
-        moving = await self._plan(job_id, job, index, step, goal)
+        moving = await self._plan(job_id, job, index, step, goal, seen_ns)
         goal.update({axis: exact for axis, (exact, _) in moving.resolved.exact.items()})
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
@@ -122,7 +124,7 @@ class Motion:
 
     async def dry_run(self, job: Job, index: int, step: Move) -> dict[str, Any]:
         """Durations, budget and what each controller would be sent. Raises `Refuse`."""
-        moving = await self._plan("dry-run", job, index, step, {})
+        moving = await self._plan("dry-run", job, index, step, {}, None)
         if moving.plan.profiles:
             await self._proposing.agree(moving, job, step)
         return {
@@ -140,13 +142,16 @@ class Motion:
 
     # Plan
 
-    async def _plan(self, job_id: str, job: Job, index: int, step: Move, goal: Mapping[str, Fraction]) -> Moving:
+    async def _plan(
+        self, job_id: str, job: Job, index: int, step: Move, goal: Mapping[str, Fraction], seen_ns: int | None
+    ) -> Moving:
         names = list(step.to | step.by)
         members = list(dict.fromkeys(name.partition(".")[0] for name in names))
         states: dict[str, AxisState] = {}
         infos: dict[str, Info] = {}
         instances: dict[str, str] = {}
-        for member, (state, info) in zip(members, await asyncio.gather(*map(self._look, members)), strict=True):
+        looks = await asyncio.gather(*(self._look(member, seen_ns) for member in members))
+        for member, (state, info) in zip(members, looks, strict=True):
             infos[member], instances[member] = info, state.instance
             states |= {f"{member}.{axis}": each for axis, each in state.axes.items()}
         missing = self._permits.missing(names)
@@ -159,9 +164,9 @@ class Motion:
             raise Refuse("plan", str(error)) from None
         return Moving(job_id, index, job.actor, resolved, plan, instances)
 
-    async def _look(self, member: str) -> tuple[ControllerState, Info]:
+    async def _look(self, member: str, seen_ns: int | None) -> tuple[ControllerState, Info]:
         try:
-            state, info = await self._view.fresh(member), await self._view.info(member)
+            state, info = await self._view.fresh(member, seen_ns), await self._view.info(member)
         except BusError as error:
             raise Refuse("absent", f"{member}: {error}", "is its adapter host running?", member) from None
         if state.mode == "offline":
@@ -201,7 +206,7 @@ class Motion:
                 await self._judge_frozen(moving, job, step)
                 declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
                 pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
-                await self._require_time(moving, pace.go_ns, "arming took longer than was allowed for")
+                await self._require_time(moving, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
                 # Who does not answer may be busy; but a decision stands for one start alone.
@@ -228,7 +233,7 @@ class Motion:
             raise Refuse("permit", lost, "bring it about, then submit again")
         # Behind the decision who is late has failed; before it, all are armed again.
         pace, promised_ns = self._proposing.pace, self._clock.now_ns()
-        await self._require_time(moving, pace.go_ns, "promises took longer than was allowed for")
+        await self._require_time(moving, "promises took longer than was allowed for")
         await self._runs(
             self._journal.decide,
             moving.job_id,
@@ -246,8 +251,9 @@ class Motion:
         await self._go(moving)
         pace.released(self._clock.now_ns() - armed_ns, self._clock.now_ns() - promised_ns)
 
-    async def _require_time(self, moving: Moving, needs_ns: int, late: str) -> None:
+    async def _require_time(self, moving: Moving, late: str) -> None:
         """For what is still to be done, and then for unloading all if that fails. Raises `Refuse`: all are unloaded."""
+        needs_ns = self._proposing.pace.go_ns(len(moving.proposals))
         if self._throne.fleet_now_ns() + needs_ns + moving.disarm_ns >= moving.t0_fleet_ns:
             await self._disarm(moving)
             raise Refuse("late", late)

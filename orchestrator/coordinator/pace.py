@@ -16,6 +16,7 @@ KEPT = 64  # of the newest steps: of the next ones, one in so many is slower tha
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
 GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
+EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
 LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again
 
 
@@ -77,15 +78,17 @@ class Pace:
         seen = self._shares.get(member)
         return 1.0 if seen is None else seen.allow(1.0)
 
-    @property
-    def go_ns(self) -> int:
-        """What decision and release alone are given."""
-        return round(self._goes_ns.allow(MARGIN_NS / 2, GO_ROOM))
+    def go_ns(self, members: int) -> int:
+        """What decision and release alone are given, of so many members."""
+        return round(self._goes_ns.allow(_unknown_ns(members) / 2, GO_ROOM))
 
-    @property
-    def margin_ns(self) -> int:
-        """What promise, decision and release are given."""
+    def margin_ns(self, members: int) -> int:
+        """What promise, decision and release are given, of so many members."""
         if not self._goes_ns.known:
-            return round(self._releases_ns.allow(MARGIN_NS))
+            return round(self._releases_ns.allow(_unknown_ns(members)))
         # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns))
+        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
+
+
+def _unknown_ns(members: int) -> int:
+    return max(MARGIN_NS, members * EACH_NS)

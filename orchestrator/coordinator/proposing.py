@@ -169,7 +169,7 @@ class Proposing:
             arming_ns = [costs.arm_ns * (share if len(line) == 1 else min(1.0, share)) for costs, share in line]
             return max(arming_ns) if all(costs.by_turns for costs, _ in line) else sum(arming_ns)
 
-        return round(max(map(line_ns, lines.values()))) + self.pace.margin_ns + moving.disarm_ns
+        return round(max(map(line_ns, lines.values()))) + self.pace.margin_ns(len(moving.proposals)) + moving.disarm_ns
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""

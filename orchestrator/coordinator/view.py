@@ -35,6 +35,7 @@ class FleetView:
         self._log = log
         self._states: dict[str, ControllerState] = {}
         self._heard_ns: dict[str, int] = {}
+        self._asked: dict[str, tuple[int, ControllerState]] = {}
         on_line = Counter(config.link.place for config in fleet.controllers.values())
         self._silent_ns = {
             name: SILENT_NS + OTHER_NS * (on_line[config.link.place] - 1) for name, config in fleet.controllers.items()
@@ -77,10 +78,16 @@ class FleetView:
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter was started anew" if anew else None
 
-    async def fresh(self, controller: str) -> ControllerState:
-        """The state as it is now, asked for. Raises `BusError`."""
+    async def fresh(self, controller: str, since_ns: int | None = None) -> ControllerState:
+        """The state as it is now, asked for; or as it was when it was last asked for, not before `since_ns`. Raises
+        `BusError`."""
+        asked_ns, state = self._asked.get(controller, (0, None))
+        if state is not None and since_ns is not None and asked_ns >= since_ns:
+            return state
+        asked_ns = self._clock.now_ns()
         payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
         state = ControllerState.model_validate_json(payload)
+        self._asked[controller] = (asked_ns, state)
         self._take(state)
         return state
 

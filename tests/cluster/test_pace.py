@@ -7,7 +7,7 @@ import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.pace import GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
+from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -67,16 +67,24 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
 def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late() -> None:
     pace = Pace()
     for k in range(KNOWN):
-        assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
+        assert pace.share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
         pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.share("a") == pytest.approx(ROOM * (10 + KNOWN - 1) / 100)
     assert pace.share("b") == 1.0
-    assert pace.go_ns == round(GO_ROOM * 10 * NS_PER_MS)
+    assert pace.go_ns(2) == round(GO_ROOM * 10 * NS_PER_MS)
     # For the whole release, and what go is given beyond what it takes.
-    assert pace.margin_ns == round((ROOM * 20 + (GO_ROOM - 1) * 10) * NS_PER_MS) > LEAST_MARGIN_NS
+    assert pace.margin_ns(2) == round((ROOM * 20 + (GO_ROOM - 1) * 10) * NS_PER_MS) > LEAST_MARGIN_NS
     pace.late({"a": None})
-    assert pace.share("a") == 1.0 and pace.margin_ns == MARGIN_NS
+    assert pace.share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
+
+
+def test_many_members_are_given_more_until_they_are_known() -> None:
+    pace = Pace()
+    assert pace.margin_ns(16) == 16 * EACH_NS > MARGIN_NS and pace.go_ns(16) == 8 * EACH_NS
+    for _ in range(KNOWN):
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
+    assert pace.margin_ns(16) == pace.margin_ns(2)
 
 
 def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
@@ -84,10 +92,10 @@ def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
     pace.armed({"a": 100}, {"a": 130})
     pace.released(2 * MARGIN_NS, MARGIN_NS)
     assert pace.share("a") == pytest.approx(1.3)
-    assert pace.margin_ns == 2 * MARGIN_NS and pace.go_ns == MARGIN_NS
+    assert pace.margin_ns(2) == 2 * MARGIN_NS and pace.go_ns(2) == MARGIN_NS
     pace.late({"a": None})
     assert pace.share("a") == pytest.approx(1.3)
-    assert pace.margin_ns == 2 * MARGIN_NS
+    assert pace.margin_ns(2) == 2 * MARGIN_NS
     for _ in range(KEPT):
         pace.armed({"a": 100}, {"a": 50})
     assert pace.share("a") == pytest.approx(ROOM * 0.5)
