@@ -12,15 +12,17 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
 from orchestrator.lab.bridge import bridge_baud
 from orchestrator.lab.throne import reigning
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, by_line
+from sim.link.arguments import NEXT
 
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
@@ -31,6 +33,7 @@ TAKEN = 4  # of the router: somebody else listens there
 STANDBY = "coordinator/standby"
 # Of the coordinator, once it has reigned: another does now, and the adapter hosts are at its service.
 DEPOSED = frozenset({4, 6})
+TOGETHER = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
 # What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
 _FOUND = {
     "tcp": ("host", "port"),
@@ -48,14 +51,15 @@ class UpFailed(Exception):
 
 @dataclass(slots=True)
 class Child:
-    """One process of the fleet."""
+    """One process of the fleet. ready: the lines, as many as it tells, with which it says that it is."""
 
     name: str
     command: Sequence[str]
     log: Path
+    tells: int = 1
     process: asyncio.subprocess.Process | None = None
     starts: int = 0
-    ready: str = ""
+    ready: Sequence[str] = ()
     ended: bool = False
     keeper: "asyncio.Task[None] | None" = None
 
@@ -154,16 +158,19 @@ class LiveFleet:
     async def _simulate(self) -> None:
         """Replace every link by that of a simulated controller."""
         controllers: dict[str, Controller] = {}
-        for names in by_line(self.fleet):
-            child = await self._start_child(f"sim/{'+'.join(names)}", self._simulator_command(names))
-            place = json.loads(child.ready)
-            for name in names:
-                config = self.fleet.controllers[name]
-                found = _FOUND[config.link.kind]
-                link = config.link.model_copy(update={field: place[field] for field in found})
-                simulate = config.simulate.model_copy(update={"link": link})
-                controllers[name] = config.model_copy(update={"simulate": simulate})
-                self.say(f"{name}: simulated {config.adapter} on {link.place}")
+        for lines in _together(self.fleet):
+            command = [sys.executable, "-m", "sim.link.process"]
+            for names in lines:
+                command += [*([NEXT] if names is not lines[0] else []), *self._simulator_arguments(names)]
+            child = await self._start_child(f"sim/{'+'.join(chain(*lines))}", command, len(lines))
+            for names, ready in zip(lines, child.ready, strict=True):
+                place = json.loads(ready)
+                for name in names:
+                    config = self.fleet.controllers[name]
+                    link = config.link.model_copy(update={field: place[field] for field in _FOUND[config.link.kind]})
+                    simulate = config.simulate.model_copy(update={"link": link})
+                    controllers[name] = config.model_copy(update={"simulate": simulate})
+                    self.say(f"{name}: simulated {config.adapter} on {link.place}")
         for each in self.fleet.connections:
             self.tell_simulator(each.target, input=(each.feeds.number, each.level(False)))
         self.fleet = self.fleet.model_copy(
@@ -194,8 +201,8 @@ class LiveFleet:
         self.connect = endpoint
         self.say(f"router on {endpoint}")
 
-    def _simulator_command(self, names: Sequence[str]) -> list[str]:
-        """One process for the controllers of one line."""
+    def _simulator_arguments(self, names: Sequence[str]) -> list[str]:
+        """For the controllers of one line."""
         name, config = "+".join(names), self.fleet.controllers[names[0]]
         if isinstance(config.link, CanBusLink):
             listen = ["--listen", f"pty:{self.state / 'ports' / name}"]
@@ -205,10 +212,10 @@ class LiveFleet:
             listen += ["--frame", frame(config.link)]
         else:
             listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}", "--baud", str(bridge_baud(config))]
-        command = [sys.executable, "-m", "sim.link.process", "--model", config.adapter, "--name", name, *listen]
+        arguments = ["--model", config.adapter, "--name", name, *listen]
         for each in names:
-            command += ["--unit", json.dumps(self._simulated_unit(each))]
-        return command
+            arguments += ["--unit", json.dumps(self._simulated_unit(each))]
+        return arguments
 
     def _simulated_unit(self, name: str) -> dict[str, object]:
         """What `--unit` says of a controller."""
@@ -254,15 +261,15 @@ class LiveFleet:
 
     # Children
 
-    async def _start_child(self, name: str, command: Sequence[str]) -> Child:
+    async def _start_child(self, name: str, command: Sequence[str], tells: int = 1) -> Child:
         log = self.state / "log" / f"{name.replace('/', '-')}.err"
-        child = self.children[name] = Child(name, command, log)
+        child = self.children[name] = Child(name, command, log, tells)
         await self._spawn(child)
         child.keeper = asyncio.get_running_loop().create_task(self._keep(child))
         return child
 
     async def _spawn(self, child: Child) -> None:
-        """Start the process and wait for its first line. Raises `UpFailed` with what it said."""
+        """Start the process and wait for its first lines. Raises `UpFailed` with what it said."""
         child.log.parent.mkdir(parents=True, exist_ok=True)
         with child.log.open("ab") as errors:
             child.process = await asyncio.create_subprocess_exec(
@@ -276,13 +283,13 @@ class LiveFleet:
         assert child.process.stdout is not None
         try:
             async with asyncio.timeout(READY_S):
-                line = await child.process.stdout.readline()
+                lines = [await child.process.stdout.readline() for _ in range(child.tells)]
         except TimeoutError:
             raise UpFailed(f"{child.name} is not ready after {READY_S:g} s; see {child.log}") from None
-        if not line:
+        if not all(lines):
             how = _how(await child.process.wait())
             raise UpFailed(f"{child.name} ended ({how}): {child.last_word() or f'see {child.log}'}")
-        child.ready = line.decode().strip()
+        child.ready = [line.decode().strip() for line in lines]
 
     async def _keep(self, child: Child) -> None:
         """Start a dead child again, unless it ended for good."""
@@ -330,6 +337,21 @@ class LiveFleet:
                 await process.wait()
         if child.keeper is not None:
             child.keeper.cancel()
+
+
+def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
+    """The lines of which a process each simulates the controllers. Those of one make on Ethernet share some: a process
+    that was asleep is woken for each exchange, finds the caches filled by others, and takes several times as long."""
+    ethernet: dict[str, list[list[str]]] = {}
+    for names in by_line(fleet):
+        config = fleet.controllers[names[0]]
+        if isinstance(config.link, SerialLink | CanBusLink):
+            yield [names]
+        else:
+            ethernet.setdefault(config.adapter, []).append(names)
+    for lines in ethernet.values():
+        for at in range(0, len(lines), TOGETHER):
+            yield lines[at : at + TOGETHER]
 
 
 def world_pipe(state: Path, controller: str) -> Path:

@@ -13,6 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 _LOOPBACK = ("localhost", "::1")
 
+NEXT = "--next"
+"""Parts the arguments of several links."""
+
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -96,9 +99,25 @@ class OneLineParser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
-def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments. Ends the process with code 2 and one line on stderr when one is wrong."""
-    parser = OneLineParser(prog="python -m sim.link.process", description="One simulated controller on a real link.")
+def parse_arguments(arguments: Sequence[str] | None) -> list[argparse.Namespace]:
+    """The arguments, of each link that they ask for. Ends the process with code 2 and one line on stderr when one is
+    wrong."""
+    links: list[list[str]] = [[]]
+    for argument in sys.argv[1:] if arguments is None else arguments:
+        if argument == NEXT:
+            links.append([])
+        else:
+            links[-1].append(argument)
+    parser = _parser()
+    return [parser.parse_args(link) for link in links]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = OneLineParser(
+        prog="python -m sim.link.process",
+        description="One simulated controller on a real link.",
+        epilog=f"{NEXT} parts the arguments of several links that one process serves.",
+    )
     parser.add_argument("--model", required=True, help="a simulated model, e.g. smc4000")
     parser.add_argument("--name", required=True, help="the controller's name in the fleet file")
     parser.add_argument(
@@ -124,7 +143,7 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
         default=[],
         help="JSON object: one of several controllers on this link, in their order from the host",
     )
-    return parser.parse_args(arguments)
+    return parser
 
 
 def units(chosen: argparse.Namespace) -> list[UnitFields]:

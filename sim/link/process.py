@@ -1,9 +1,9 @@
 """The process of one simulated controller, or of several that share a link:
-`python -m sim.link.process --model smc4000 --name gantry --listen …`.
+`python -m sim.link.process --model smc4000 --name gantry --listen …`; with `--next` between, of several links.
 
-When it can be reached it prints one JSON line with its place. It ends with SIGTERM, SIGINT, or when its standard
-input is closed, so that it never outlives the one who started it. Lines on standard input, and on the named pipe
-`--world`, change its physical world.
+When all can be reached it prints a JSON line for each link, with its place. It ends with SIGTERM, SIGINT, or when its
+standard input is closed, so that it never outlives the one who started it. Lines on standard input, and on the named
+pipe `--world`, change the physical world; those on standard input that of its first controller.
 """
 
 import argparse
@@ -46,14 +46,14 @@ class CannotStart(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Gives 0, or 2 with one line on stderr when it can not start."""
-    chosen = parse_arguments(arguments)
+    links = parse_arguments(arguments)
     hurry(Urgency.BUS)
     try:
-        on_ethernet = chosen.model == "smc4000" and not isinstance(chosen.listen, PtyPlace)
+        on_ethernet = all(each.model == "smc4000" and not isinstance(each.listen, PtyPlace) for each in links)
         with asyncio.Runner(loop_factory=_exact_loop if on_ethernet else None) as runner:
-            runner.run(_run(chosen))
+            runner.run(_run(links))
     except CannotStart as error:
-        sys.stderr.write(f"{chosen.name}: {error}\n")
+        sys.stderr.write(f"{error}\n")
         return 2
     return 0
 
@@ -66,7 +66,7 @@ def _exact_loop() -> asyncio.AbstractEventLoop:
     return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
 
-async def _run(chosen: argparse.Namespace) -> None:
+async def _run(links: Sequence[argparse.Namespace]) -> None:
     task = asyncio.current_task()
     assert task is not None
     # From the first moment: whoever reads the ready line may end this process at once.
@@ -75,7 +75,20 @@ async def _run(chosen: argparse.Namespace) -> None:
     clock = LiveClock()
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
-        asked = units(chosen)
+        told = [await _open_link(chosen, clock, cleanup) for chosen in links]
+        begin_live()
+        for chosen, (server, *_) in zip(links, told, strict=True):
+            sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
+        sys.stdout.flush()
+        await _follow(lines, *told[0])
+
+
+async def _open_link(
+    chosen: argparse.Namespace, clock: LiveClock, cleanup: contextlib.ExitStack
+) -> tuple[Server, SimulatedController, str]:
+    """What serves the link, and the first controller on it with its name. Raises `CannotStart` naming it."""
+    asked = units(chosen)
+    try:
         line = _build(chosen.model, asked, clock)
         server = await _serve(chosen, line.far, clock)
         cleanup.callback(server.close)
@@ -88,10 +101,9 @@ async def _run(chosen: argparse.Namespace) -> None:
                 more = await _named_pipe(unit.world)
                 listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, unit.name))
                 cleanup.callback(listening.cancel)
-        begin_live()
-        sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
-        sys.stdout.flush()
-        await _follow(lines, server, line.units[asked[0].name], asked[0].name)
+    except CannotStart as error:
+        raise CannotStart(f"{chosen.name}: {error}") from None
+    return server, line.units[asked[0].name], asked[0].name
 
 
 async def _standard_input() -> asyncio.StreamReader:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from children import LIMIT_S, Children, tell, wait_until
+from children import LIMIT_S, Children, ready, tell, wait_until
 
 from orchestrator.clock.live import raw_ns
 
@@ -74,6 +74,29 @@ def test_a_ninth_handle_is_reset_and_a_client_that_vanishes_frees_its_own(childr
     finally:
         for handle in handles:
             handle.close()
+
+
+def test_one_process_serves_several_links_each_with_a_controller_of_its_own(children: Children) -> None:
+    other = ["--next", "--model", "smc4000", "--name", "other", "--listen", "tcp:127.0.0.1:0"]
+    process, place = children.simulator("smc4000", "tcp:127.0.0.1:0", *other)
+    there = json.loads(ready(process))
+    assert (place["name"], there["name"]) == ("unit", "other")
+    with client(place) as line, client(there) as second:
+        assert ask(line, b"XT=5\r") == b":"
+        assert ask(second, b"XT=6\r") == b":"
+        assert number(ask(line, b"MG XT\r")) == 5
+
+
+def test_which_of_several_links_can_not_be_served_is_said(children: Children) -> None:
+    _, place = children.simulator("smc4000", "tcp:127.0.0.1:0")
+    taken = f"tcp:127.0.0.1:{place['port']}"
+    usual = ["--model", "smc4000", "--listen"]
+    process = children.start(
+        "sim.link.process", *usual, "tcp:127.0.0.1:0", "--name", "unit", "--next", *usual, taken, "--name", "other"
+    )
+    _, said = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2
+    assert said.startswith("other: --listen: ") and said.count("\n") == 1
 
 
 def test_the_truth_is_written_down_in_host_time(children: Children) -> None:

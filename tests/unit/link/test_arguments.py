@@ -21,13 +21,13 @@ USUAL = ["--model", "smc4000", "--name", "gantry"]
     ],
 )
 def test_places(text: str, place: TcpPlace | PtyPlace) -> None:
-    assert parse_arguments([*USUAL, "--listen", text]).listen == place
+    assert parse_arguments([*USUAL, "--listen", text])[0].listen == place
 
 
 @pytest.mark.parametrize(("frame", "bits"), [("8N1", 10), ("7O1", 10), ("8E2", 12)])
 def test_frames(frame: str, bits: int) -> None:
-    assert parse_arguments([*USUAL, "--listen", "pty:x", "--frame", frame]).frame == bits
-    assert parse_arguments([*USUAL, "--listen", "pty:x"]).frame == 10
+    assert parse_arguments([*USUAL, "--listen", "pty:x", "--frame", frame])[0].frame == bits
+    assert parse_arguments([*USUAL, "--listen", "pty:x"])[0].frame == 10
 
 
 @pytest.mark.parametrize(
