@@ -82,10 +82,17 @@ class Members:
         reply: type[R],
         timeout_s: float = ANSWER_S,
         insist: bool = False,
+        answered: Callable[[str], None] | None = None,
     ) -> dict[str, R]:
-        """`ask` several members, or `insist`, all at once; the replies by member."""
-        ask = self.insist if insist else self.ask
-        asked = [ask(member, verb, request, reply, timeout_s) for member, request in requests.items()]
+        """`ask` several members, or `insist`, all at once; the replies by member. answered: told of each at once."""
+
+        async def ask(member: str, request: Request) -> R:
+            said = await (self.insist if insist else self.ask)(member, verb, request, reply, timeout_s)
+            if answered is not None:
+                answered(member)
+            return said
+
+        asked = [ask(member, request) for member, request in requests.items()]
         return dict(zip(requests, await asyncio.gather(*asked), strict=True))
 
     async def _answer(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:

@@ -42,7 +42,8 @@ SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
 ALIGN_ASK_NS = NS_PER_S  # nearer than this, clocks will know no better
-LEAD_GROWTH = (1, 2, 4)  # the lead over again when arming took longer than it promised
+LATE = ("late", "no-answer")  # the codes of who was not quick enough
+LEADS = (None, 1, 2, 4)  # times the declared one, when arming took longer than the lead that was known to do
 
 
 class Motion:
@@ -189,29 +190,25 @@ class Motion:
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
     ) -> None:
         """Load all and let them go. Who is late while nothing has moved is armed again, with more lead."""
-        pace, late = self._proposing.pace, Refuse("late", "", "")
-        for growth in LEAD_GROWTH:
+        late = Refuse("late", "", "")
+        for growth in LEADS:
             await on_state("arming", "")
             _require_not_held(moving)
-            if growth > 1:
+            if growth is not None:
                 self._log.warning(f"late; arming again with more lead ({late.refusal.text})", job=moving.job_id)
-                pace.late(moving.proposals)
                 await self._proposing.again(moving, step, growth)
-            if step.align and growth == 1:
+            elif step.align:
                 await self._await_alignment(moving, step)
             moving.arming_fleet_ns = self._throne.fleet_now_ns()
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             try:
                 await self._arm(moving, step)
                 await self._judge_frozen(moving, job, step)
-                declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
-                pace.armed(declared_ns, {name: each.took_ns for name, each in moving.armed.items()})
                 await self._require_time(moving, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
                 # Who does not answer may be busy; but a decision stands for one start alone.
-                slow = ("late",) if moving.decided else ("late", "no-answer")
-                if refused.refusal.code not in slow or not moving.unloaded:
+                if refused.refusal.code not in (LATE[:1] if moving.decided else LATE) or not moving.unloaded:
                     raise
                 late = refused
             else:
@@ -233,7 +230,11 @@ class Motion:
             raise Refuse("permit", lost, "bring it about, then submit again")
         # Behind the decision who is late has failed; before it, all are armed again.
         pace, promised_ns = self._proposing.pace, self._clock.now_ns()
-        await self._require_time(moving, "promises took longer than was allowed for")
+        try:
+            await self._require_time(moving, "promises took longer than was allowed for")
+        except Refuse:
+            pace.late(promised_ns - armed_ns)
+            raise
         await self._runs(
             self._journal.decide,
             moving.job_id,
@@ -267,7 +268,7 @@ class Motion:
             best_ns = self._proposing.start(moving, soonest_ns, max(0, ends_ns - soonest_ns))
             wait_ns = best_ns - soonest_ns - ALIGN_EARLY_NS
             await sleep_ns(self._clock, max(0, wait_ns if wait_ns < ALIGN_ASK_NS else wait_ns // 2))
-            await self._proposing.again(moving, step, 1)
+            await self._proposing.again(moving, step, None)
             if wait_ns < ALIGN_ASK_NS:
                 return
 
@@ -284,12 +285,16 @@ class Motion:
             )
             for member, way in start_ways(moving, step, moving.proposals).items()
         }
-        timeout_s = {
-            member: ANSWER_S + 2 * (proposal.costs.arm_ns if proposal.costs else 0) / NS_PER_S
-            for member, proposal in moving.proposals.items()
-        }
-        moving.armed = await self._members.ask_all("arm", requests, Armed, max(timeout_s.values()))
+        declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
+        timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
+        asked_ns, took_ns = self._clock.now_ns(), dict[str, int]()
+
+        def answered(member: str) -> None:
+            took_ns[member] = self._clock.now_ns() - asked_ns
+
+        moving.armed = await self._members.ask_all("arm", requests, Armed, timeout_s, answered=answered)
         await self._disarm_if_refused(moving, moving.armed)
+        self._proposing.pace.armed(declared_ns, took_ns)
 
     async def _judge_frozen(self, moving: Moving, job: Job, step: Move) -> None:
         """Once more, with the clock mappings that are frozen into what is armed."""
@@ -315,8 +320,10 @@ class Motion:
         }
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         # Whoever has not answered by then is given up while the others can still be unloaded.
-        wait_s = max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)
-        released = await self._members.ask_all("go", requests, Reply, max(0.02, min(ANSWER_S, wait_s)))
+        wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)))
+        released = await self._members.ask_all("go", requests, Reply, wait_s)
+        if any(reply.refused is not None and reply.refused.code in LATE for reply in released.values()):
+            self._proposing.pace.late_to_go(round(wait_s * NS_PER_S))
         await self._disarm_if_refused(moving, released)
 
     async def _disarm_if_refused(self, moving: Moving, replies: Mapping[str, Reply]) -> None:

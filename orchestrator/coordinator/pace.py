@@ -3,7 +3,7 @@
 What a member declares of its arming holds on a slow network too. A fleet that has done the same some times before is
 known better, and its jobs need not begin as late as the worst case would have them; or they have to begin later, where
 an adapter host has more to do at a time than each of its members thinks. Whoever is late after all costs a second
-arming with more lead, and from then on what was declared counts again.
+arming, with the lead that was declared, and what it took counts from then on.
 """
 
 from collections import deque
@@ -33,16 +33,14 @@ class _Seen:
     def add(self, took: float) -> None:
         self._kept.append(took)
 
-    def forget(self) -> None:
-        """All but the slowest: it may come again."""
-        worst = max(self._kept, default=0.0)
-        self._kept.clear()
-        self._kept.append(worst)
+    @property
+    def slowest(self) -> float:
+        return max(self._kept, default=0.0)
 
-    def allow(self, declared: float, room: float = ROOM) -> float:
-        """What the next one is given. Until they are known, what is declared, or the slowest."""
-        worst = max(self._kept, default=0.0)
-        return room * worst if self.known else max(declared, worst)
+    def allow(self, declared: float, known: bool, room: float = ROOM) -> float:
+        """What the next one is given. Until they are known, or if that is not to count: what is declared, or the
+        slowest."""
+        return room * self.slowest if known and self.known else max(declared, self.slowest)
 
 
 class Pace:
@@ -54,7 +52,7 @@ class Pace:
         self._goes_ns = _Seen()
 
     def armed(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
-        """Members have been armed, each in so long."""
+        """Members have been armed: what each has declared, and from the order to its answer."""
         for member, took in took_ns.items():
             if declared_ns[member] > 0:
                 self._shares.setdefault(member, _Seen()).add(took / declared_ns[member])
@@ -64,30 +62,31 @@ class Pace:
         self._releases_ns.add(took_ns)
         self._goes_ns.add(go_ns)
 
-    def late(self, members: Mapping[str, object]) -> None:
-        """Somebody was late: what is known of these members counts no more."""
-        for seen in (
-            self._releases_ns,
-            self._goes_ns,
-            *(self._shares[each] for each in members if each in self._shares),
-        ):
-            seen.forget()
+    def late(self, promise_ns: int) -> None:
+        """Promises have taken so long that there was no time left for go."""
+        self._releases_ns.add(promise_ns + self._goes_ns.slowest)
 
-    def share(self, member: str) -> float:
-        """The part of its declared arming that a member needs; at least 1 until it has been armed `KNOWN` times."""
+    def late_to_go(self, given_ns: int) -> None:
+        """Somebody has not gone in the time that go was given. A step has failed by that, so that the next ones are
+        given more than twice as much."""
+        self._goes_ns.add(2 * given_ns)
+
+    def share(self, member: str, known: bool = True) -> float:
+        """The part of its declared arming that a member needs; at least 1 until it has been armed `KNOWN` times, or if
+        what is `known` is not to count."""
         seen = self._shares.get(member)
-        return 1.0 if seen is None else seen.allow(1.0)
+        return 1.0 if seen is None else seen.allow(1.0, known)
 
-    def go_ns(self, members: int) -> int:
+    def go_ns(self, members: int, known: bool = True) -> int:
         """What decision and release alone are given, of so many members."""
-        return round(self._goes_ns.allow(_unknown_ns(members) / 2, GO_ROOM))
+        return round(self._goes_ns.allow(_unknown_ns(members) / 2, known, GO_ROOM))
 
-    def margin_ns(self, members: int) -> int:
+    def margin_ns(self, members: int, known: bool = True) -> int:
         """What promise, decision and release are given, of so many members."""
-        if not self._goes_ns.known:
-            return round(self._releases_ns.allow(_unknown_ns(members)))
+        if not known or not self._goes_ns.known:
+            return round(self._releases_ns.allow(_unknown_ns(members), known))
         # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
+        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0, known) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
 
 
 def _unknown_ns(members: int) -> int:

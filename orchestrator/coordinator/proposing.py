@@ -75,9 +75,10 @@ class Proposing:
         ]
         return closest(grids, from_ns, within_ns)[0]
 
-    async def again(self, moving: Moving, step: Move, growth: int) -> None:
-        """Once more for a longer lead: clocks have to hold for longer."""
-        moving.lead_ns = growth * self._lead_ns(moving)
+    async def again(self, moving: Moving, step: Move, growth: int | None) -> None:
+        """Once more for another lead, that clocks have to hold for. growth: so many times the declared one; None: as
+        for the first time."""
+        moving.lead_ns = self._lead_ns(moving) if growth is None else growth * self._lead_ns(moving, known=False)
         await self._ask(moving, step)
 
     def judge(self, moving: Moving, said: Mapping[str, Proposal] | Mapping[str, Armed], job: Job, step: Move) -> None:
@@ -156,20 +157,21 @@ class Proposing:
         self._leads_ns[members] = moving.lead_ns
         self.judge(moving, moving.proposals, job, step)
 
-    def _lead_ns(self, moving: Moving) -> int:
+    def _lead_ns(self, moving: Moving, known: bool = True) -> int:
         """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Of those on one
         line, who takes longer than it says waits for the others."""
+        margin_ns = self.pace.margin_ns(len(moving.proposals), known)
         lines: dict[str, list[tuple[Costs, float]]] = {}
         for member, proposal in moving.proposals.items():
             if proposal.costs is not None:
                 place = self._view.fleet.controllers[member].link.place
-                lines.setdefault(place, []).append((proposal.costs, self.pace.share(member)))
+                lines.setdefault(place, []).append((proposal.costs, self.pace.share(member, known)))
 
         def line_ns(line: list[tuple[Costs, float]]) -> float:
             arming_ns = [costs.arm_ns * (share if len(line) == 1 else min(1.0, share)) for costs, share in line]
             return max(arming_ns) if all(costs.by_turns for costs, _ in line) else sum(arming_ns)
 
-        return round(max(map(line_ns, lines.values()))) + self.pace.margin_ns(len(moving.proposals)) + moving.disarm_ns
+        return round(max(map(line_ns, lines.values()))) + margin_ns + moving.disarm_ns
 
     async def _ask(self, moving: Moving, step: Move) -> None:
         """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""

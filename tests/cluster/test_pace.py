@@ -1,4 +1,5 @@
-"""The lead over arming: as members declare it at first, as short as they have shown later, and long again when one is late."""
+"""The lead over arming: as members declare it at first, as short as they have shown later, and long again for one that
+is late."""
 
 import asyncio
 from dataclasses import replace
@@ -28,7 +29,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
 
         waits = [await waited_ns(k) for k in range(KNOWN + 2)]
         assert min(waits[:KNOWN]) - waits[-1] > 100 * NS_PER_MS
-        # The network becomes slow: what was known is wrong, and the declared times count again.
+        # The network becomes slow: what was known is wrong, and the declared times count.
         for wire in fleet.wires.values():
             wire.model = replace(wire.model, latency_ns=3 * NS_PER_MS)
         slow = await waited_ns(KNOWN)
@@ -64,7 +65,7 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
     run_fleet(main)
 
 
-def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late() -> None:
+def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_late() -> None:
     pace = Pace()
     for k in range(KNOWN):
         assert pace.share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
@@ -75,8 +76,17 @@ def test_what_is_known_needs_so_many_steps_and_is_forgotten_by_one_that_was_late
     assert pace.go_ns(2) == round(GO_ROOM * 10 * NS_PER_MS)
     # For the whole release, and what go is given beyond what it takes.
     assert pace.margin_ns(2) == round((ROOM * 20 + (GO_ROOM - 1) * 10) * NS_PER_MS) > LEAST_MARGIN_NS
-    pace.late({"a": None})
-    assert pace.share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
+    assert pace.share("a", known=False) == 1.0 and pace.margin_ns(2, known=False) == MARGIN_NS
+
+
+def test_how_long_somebody_took_who_was_late_counts_from_then_on() -> None:
+    pace = Pace()
+    for _ in range(KNOWN):
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
+    pace.late(50 * NS_PER_MS)
+    assert pace.margin_ns(2) == round((ROOM * (50 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
+    pace.late_to_go(15 * NS_PER_MS)
+    assert pace.go_ns(2) == GO_ROOM * 2 * 15 * NS_PER_MS
 
 
 def test_many_members_are_given_more_until_they_are_known() -> None:
@@ -93,9 +103,8 @@ def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
     pace.released(2 * MARGIN_NS, MARGIN_NS)
     assert pace.share("a") == pytest.approx(1.3)
     assert pace.margin_ns(2) == 2 * MARGIN_NS and pace.go_ns(2) == MARGIN_NS
-    pace.late({"a": None})
-    assert pace.share("a") == pytest.approx(1.3)
-    assert pace.margin_ns(2) == 2 * MARGIN_NS
+    assert pace.share("a", known=False) == pytest.approx(1.3)
+    assert pace.margin_ns(2, known=False) == 2 * MARGIN_NS
     for _ in range(KEPT):
         pace.armed({"a": 100}, {"a": 50})
     assert pace.share("a") == pytest.approx(ROOM * 0.5)
