@@ -321,8 +321,14 @@ class Mover:
             await sleep_ns(self._clock, _LOOK_SOON_NS)
             look = await self._unit.look()
             answered_ns = look.at_ns
+        self._require_not_restarted()
         latest_ns = answered_ns - quick_ns + self._options.start_skew_us * NS_PER_US
         return Span(min(earliest_ns, latest_ns), latest_ns, late_ns=self._options.beyond_ns(fired))
+
+    def _require_not_restarted(self) -> None:
+        """A unit that was switched off and on stands elsewhere by its own account, and is not ready at first."""
+        if self._session.restarted:
+            raise DriverFault("not-started", "the unit was restarted before its start", "home it, and try again")
 
     @staticmethod
     def _unit_moves(look: Look, move: AxisMove, by_status: bool = False) -> bool:
@@ -353,6 +359,7 @@ class Mover:
             await sleep_until_ns(self._clock, early_ns - 2 * self._unit.slow_ns)
             look = await self._unit.look()
             if any(self._unit_moves(look, each) for each in move.lowered.moves):
+                self._require_not_restarted()
                 raise DriverFault(
                     "not-started",
                     f"the axes move before T0: input {wait.name} became active too early",
@@ -365,6 +372,7 @@ class Mover:
                 raise DriverFault("not-started", "stopped while it waited for its line", "")
             left = [each for each in move.lowered.moves if not self._unit_moves(look, each)]
             if not left:
+                self._require_not_restarted()
                 return Span(earliest_ns, max(earliest_ns, min(latest_ns, look.at_ns - quick_ns)))
             if look.begun_ns > latest_ns and not (look.bits[left[0].motor] & Bits.PROGRAM):
                 raise self._not_started(move, left[0], look)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from adapters.contract import CannotDo
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.replies import STATUS, STOPS, limit_stopped, status, triples
+from adapters.shrc203.replies import STATUS, STOPS, limit_stopped, status
 from adapters.shrc203.status import ERRORS, MECHANICAL_RETURN, why_stopped
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, Clock
@@ -106,8 +106,7 @@ async def _ended(unit: UnitState, running: Sequence[_Search]) -> list[tuple[_Sea
     if not ended:
         return []
     limited = limit_stopped(await session.ask("SRQ:", STOPS))
-    query, expected = unit.sentinel
-    restarted = await session.ask(query, triples(1)) != expected
+    restarted = await unit.is_restarted()
     judged: list[tuple[_Search, CannotDo | None]] = []
     for each in ended:
         axis, why = now[each.motor], ""

@@ -279,6 +279,7 @@ class Mover:
         earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
         if self._clock.now_ns() < move.t0_ns - _QUIET_NS and not await self._loaded(move):
             self.move = None
+            await self._require_not_restarted()
             raise DriverFault(
                 "not-started",
                 f"the axes are moving before T0: input {wait.name} became active too early",
@@ -294,6 +295,7 @@ class Mover:
             left = [each for each in move.lowered.firsts if found[each.motor] == each.distance]
             if not left:
                 seen_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
+                await self._require_not_restarted()
                 self._unit.waiting = {}
                 return Span(earliest_ns, max(earliest_ns, min(latest_ns, seen_ns)))
             earliest_ns = max(earliest_ns, now_ns)
@@ -322,8 +324,14 @@ class Mover:
         line = await self._session.ask_line("Q:SPC", STATUS)
         now = status(line.text, self._unit.controllable)
         if all(now[each.motor].busy or now[each.motor].counts != each.start_counts for each in move.lowered.moves):
+            await self._require_not_restarted()
             return line.at_ns
         raise DriverFault("not-started", f"the axes do not move ({error.fault.text})", error.fault.remedy)
+
+    async def _require_not_restarted(self) -> None:
+        """A unit that was switched off and on has lost its move as well, and calls the place where it stands 0."""
+        if await self._unit.is_restarted():
+            raise DriverFault("not-started", "the unit was restarted before its start", "home it, and try again")
 
     async def outcome(self) -> Outcome:
         """Load the second moves, if there are any; wait for the completion lines; look at the unit itself when they do

@@ -6,7 +6,7 @@ Queries that may be answered by a bare digit are left out while a completion is 
 from adapters.contract import AxisReading, Reading, Restarted
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import Options
-from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status, triples
+from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status
 from adapters.shrc203.status import ERRORS, faults, lost
 from adapters.shrc203.unitstate import UnitState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
@@ -35,7 +35,7 @@ class Poller:
         unit, session = self._unit, self._unit.session
         line = await session.ask_line("Q:SPC", STATUS)
         # Behind it: what it has said is true of axes that still know where they are.
-        if await session.ask(unit.sentinel[0], triples(1)) != unit.sentinel[1]:
+        if await unit.is_restarted():
             raise Restarted()
         now = status(line.text, unit.controllable)
         if unit.timing is not None:

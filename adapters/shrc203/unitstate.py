@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from adapters.contract import CannotDo
 from adapters.shrc203.buffers import Buffers
+from adapters.shrc203.replies import triples
 from adapters.shrc203.session import Session
 from adapters.shrc203.timing import Timing
 from orchestrator.link.base import LinkClosed
@@ -50,6 +51,12 @@ class UnitState:
     def untidy_at_rest(self) -> bool:
         """Whether the prebuffers are to be emptied, and can be: in an error nothing is taken, and nothing starts."""
         return self.untidy and self.sound
+
+    async def is_restarted(self) -> bool:
+        """Whether the unit has lost its sentinel: asked behind something else, what that has said is true of a unit
+        that was not restarted if this is false."""
+        query, due = self.sentinel
+        return await self.session.ask(query, triples(1)) != due
 
     async def make_harmless(self) -> None:
         """See to it that nothing queued can move an axis, now, and later when the error of its axis has been cleared.

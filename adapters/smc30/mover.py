@@ -260,9 +260,10 @@ class Mover:
         """By the line's window. The unit itself shows only that it is not ready: it may still be waiting."""
         earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
         await self._sleep_until(move, latest_ns)
-        now = await self._unit.status()
-        if now.busy or move.stopped_ns is not None or await self._unit.position() == move.lowered.target:
-            return Span(earliest_ns, latest_ns, seen=not now.busy and move.stopped_ns is None)
+        if (await self._unit.status()).busy or move.stopped_ns is not None:
+            return Span(earliest_ns, latest_ns, seen=False)
+        if await self._unit.position() == move.lowered.target and await self._unit.holds_sentinel():
+            return Span(earliest_ns, latest_ns)
         raise DriverFault(
             "not-started",
             f"axis {move.lowered.axis} does not wait any more, and stands at {await self._unit.position()}",

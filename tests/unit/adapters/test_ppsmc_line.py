@@ -151,6 +151,26 @@ def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing() -> Non
     run(case, config=CONFIG)
 
 
+@pytest.mark.parametrize("before_ms", [40, 100, 250])
+@pytest.mark.parametrize("by_line", [True, False])
+def test_a_unit_that_is_reset_before_the_start_claims_none(before_ms: int, by_line: bool) -> None:
+    """It calls the place where it stands another, which is not where the move was to begin."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        assert (await bench.move({"x": 500})).state == "done"
+        moves = len(bench.moved())
+        t0_ns, _ = await bench.start({"x": 9000}, StartWay(wait=WINDOW if by_line else None))
+        raise_at(bench, t0_ns)
+        await bench.until(t0_ns - before_ms * NS_PER_MS)
+        bench.wire.links[-1].write(b"reset\r")
+        with pytest.raises(DriverFault, match="restarted before its start"):
+            await bench.driver.started()
+        assert len(bench.moved()) == moves
+
+    run(case, config=CONFIG)
+
+
 def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()

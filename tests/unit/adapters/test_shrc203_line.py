@@ -11,6 +11,7 @@ from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from adapters.contract import CannotDo, DriverFault, Outcome, Span
 from adapters.shrc203 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import LineDrive, LineWait, StartWay
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -113,6 +114,29 @@ def test_an_input_that_is_active_low_starts_when_its_current_stops() -> None:
         raise_at(bench, t0_ns, 5, False)
         _, outcome = await followed(bench)
         assert outcome.state == "done"
+
+    run(case, config=CONFIG)
+
+
+@pytest.mark.parametrize("before_ms", [10, 30, 60, 120, 250, 400])
+@pytest.mark.parametrize("off_ms", [5, 40])
+@pytest.mark.parametrize("by_line", [True, False])
+def test_power_lost_and_back_before_the_start_is_no_start(before_ms: int, off_ms: int, by_line: bool) -> None:
+    """Its prebuffers are as empty as if they had been executed, and the place where it stands is another."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.start({"x": 1000})
+        await followed(bench)
+        t0_ns, _ = await released(bench, {"x": 30_000}, StartWay(wait=WINDOW if by_line else None))
+        raise_at(bench, t0_ns)
+        await sleep_until_ns(bench.clock, t0_ns - before_ms * NS_PER_MS)
+        bench.unit.set_power(False)
+        await sleep_ns(bench.clock, off_ms * NS_PER_MS)
+        bench.unit.set_power(True)
+        with pytest.raises((DriverFault, LinkClosed)):
+            await bench.driver.started()
+        assert len(bench.moved()) == 1
 
     run(case, config=CONFIG)
 

@@ -143,6 +143,26 @@ def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
     run(main)
 
 
+def test_power_lost_and_back_before_the_line_is_no_start_where_the_target_is_where_it_wakes_up() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        await world.move(driver, 500)
+        _, t0_ns = await world.arm(driver, 0, wait())
+        await driver.verify()
+        await driver.go()
+        await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
+        unit.set_power(False)
+        await world.sleep(40)
+        unit.set_power(True)
+        with pytest.raises(DriverFault) as caught:
+            await driver.started()
+        assert caught.value.fault.code == "not-started"
+        assert len(unit.motions) == 1
+
+    run(main)
+
+
 def test_a_waiting_unit_that_was_switched_off_is_not_promised() -> None:
     async def main(world: World) -> None:
         await world.ready()
