@@ -233,7 +233,7 @@ class Motion:
         try:
             await self._require_time(moving, "promises took longer than was allowed for")
         except Refuse:
-            pace.late(promised_ns - armed_ns)
+            pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
         await self._runs(
             self._journal.decide,
@@ -323,7 +323,7 @@ class Motion:
         wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - moving.disarm_ns / NS_PER_S)))
         released = await self._members.ask_all("go", requests, Reply, wait_s)
         if any(reply.refused is not None and reply.refused.code in LATE for reply in released.values()):
-            self._proposing.pace.late_to_go(round(wait_s * NS_PER_S))
+            self._proposing.pace.late_to_go(len(moving.proposals))
         await self._disarm_if_refused(moving, released)
 
     async def _disarm_if_refused(self, moving: Moving, replies: Mapping[str, Reply]) -> None:

@@ -62,14 +62,16 @@ class Pace:
         self._releases_ns.add(took_ns)
         self._goes_ns.add(go_ns)
 
-    def late(self, promise_ns: int) -> None:
-        """Promises have taken so long that there was no time left for go."""
-        self._releases_ns.add(promise_ns + self._goes_ns.slowest)
+    def late(self, promise_ns: int, members: int) -> None:
+        """Promises of so many members have taken so long that there was no time left for go. Who takes far longer than
+        others was stopped, and says nothing of the next time."""
+        self._releases_ns.add(min(promise_ns + self._goes_ns.slowest, 2 * self.margin_ns(members)))
 
-    def late_to_go(self, given_ns: int) -> None:
-        """Somebody has not gone in the time that go was given. A step has failed by that, so that the next ones are
-        given more than twice as much."""
-        self._goes_ns.add(2 * given_ns)
+    def late_to_go(self, members: int) -> None:
+        """Somebody has not gone in the time that is given for it. A step has failed by that: the next is given more."""
+        before_ns, given_ns = self._goes_ns.slowest, self.go_ns(members)
+        self._goes_ns.add(given_ns if self._goes_ns.known else GO_ROOM * given_ns)
+        self._releases_ns.add(self._releases_ns.slowest + self._goes_ns.slowest - before_ns)
 
     def share(self, member: str, known: bool = True) -> float:
         """The part of its declared arming that a member needs; at least 1 until it has been armed `KNOWN` times, or if
@@ -77,14 +79,16 @@ class Pace:
         seen = self._shares.get(member)
         return 1.0 if seen is None else seen.allow(1.0, known)
 
-    def go_ns(self, members: int, known: bool = True) -> int:
+    def go_ns(self, members: int) -> int:
         """What decision and release alone are given, of so many members."""
-        return round(self._goes_ns.allow(_unknown_ns(members) / 2, known, GO_ROOM))
+        return round(self._goes_ns.allow(_unknown_ns(members) / 2, True, GO_ROOM))
 
     def margin_ns(self, members: int, known: bool = True) -> int:
         """What promise, decision and release are given, of so many members."""
         if not known or not self._goes_ns.known:
-            return round(self._releases_ns.allow(_unknown_ns(members), known))
+            half_ns = _unknown_ns(members) / 2
+            declared_ns = half_ns + max(half_ns, self.go_ns(members))
+            return round(self._releases_ns.allow(declared_ns, known))
         # Before the decision there has to be that much left for go.
         return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0, known) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
@@ -79,14 +79,28 @@ def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_l
     assert pace.share("a", known=False) == 1.0 and pace.margin_ns(2, known=False) == MARGIN_NS
 
 
-def test_how_long_somebody_took_who_was_late_counts_from_then_on() -> None:
+def test_how_long_promises_took_that_were_late_counts_from_then_on_within_reason() -> None:
     pace = Pace()
     for _ in range(KNOWN):
         pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
-    pace.late(50 * NS_PER_MS)
-    assert pace.margin_ns(2) == round((ROOM * (50 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
-    pace.late_to_go(15 * NS_PER_MS)
-    assert pace.go_ns(2) == GO_ROOM * 2 * 15 * NS_PER_MS
+    pace.late(25 * NS_PER_MS, 2)
+    given_ns = pace.margin_ns(2)
+    assert given_ns == round((ROOM * (25 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
+    pace.late(60 * NS_PER_S, 2)
+    assert pace.margin_ns(2) < ROOM * 2 * given_ns + 10 * NS_PER_MS
+
+
+@pytest.mark.parametrize("steps", [0, 1, KNOWN])
+def test_go_that_was_too_slow_is_given_more_and_the_lead_has_room_for_it(steps: int) -> None:
+    pace = Pace()
+    for _ in range(steps):
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
+    for _ in range(10):
+        given_ns = pace.go_ns(2)
+        pace.late_to_go(2)
+        assert given_ns * 1.4 < pace.go_ns(2) < given_ns * 1.6
+        assert pace.margin_ns(2) > pace.go_ns(2) + 5 * NS_PER_MS
+        assert pace.margin_ns(2, known=False) >= pace.go_ns(2) + MARGIN_NS // 2
 
 
 def test_many_members_are_given_more_until_they_are_known() -> None:
