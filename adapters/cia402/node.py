@@ -136,6 +136,7 @@ class Node:
     def _booted(self) -> None:
         """It was switched off and on: it has forgotten everything, its PDOs first."""
         self.boots += 1
+        self.drops += self.enabled
         self.mapped = self.loaded = False
         self.control = self.wanted_mode = self.outputs = self.status = 0
         self.emergencies.clear()

@@ -126,6 +126,23 @@ def test_a_jog_ends_by_itself_is_changed_and_turned_round() -> None:
     run(main)
 
 
+def test_a_jog_is_over_for_a_drive_that_was_switched_off_and_on() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        await world.driver.jog("a", JogMove(10_000, ACCELERATION, None))
+        await world.rest(100)
+        world.unit.set_power(False)
+        await world.rest(20)
+        world.unit.set_power(True)
+        await world.rest(500)
+        assert (await world.driver.poll()).restarted
+        await world.driver.enable(["a"], True)
+        assert not (await world.driver.poll()).axes["a"].moving
+        assert await world.driver.home(["a"], lambda _: None) == {}
+
+    run(main)
+
+
 def test_a_step_is_refused_while_jogging_and_a_jog_while_a_step_is_loaded() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
