@@ -37,7 +37,7 @@ from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import Targets, plan_step
 
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has said that it moves
-STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other member on its line
+STARTED_TURN_NS = 150 * NS_PER_MS  # and so much later for each other controller on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has said that it is there
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for asking once more
 HELD = "held"  # the code of a step that was held, inside or before it began: it can go on
@@ -399,9 +399,8 @@ class Motion:
         lost = moving.lost_permit()
         if lost is not None:
             return "failed", lost
-        # Those on one line are asked in turns whether they have started.
-        places = [self._view.fleet.controllers[member].link.place for member in moving.proposals]
-        in_turns = max(places.count(place) for place in places) - 1
+        # Those on one line are asked in turns whether they have started, or are armed for other jobs.
+        in_turns = max(self._view.others[member] for member in moving.proposals)
         if waiting_start and now_ns > moving.t0_fleet_ns + STARTED_NS + in_turns * STARTED_TURN_NS:
             return "failed", f"{min(waiting_start)}: promised, and has not started"
         if waiting_end and now_ns > ends_ns + SETTLE_NS:

@@ -37,9 +37,9 @@ class FleetView:
         self._heard_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
         on_line = Counter(config.link.place for config in fleet.controllers.values())
-        self._silent_ns = {
-            name: SILENT_NS + OTHER_NS * (on_line[config.link.place] - 1) for name, config in fleet.controllers.items()
-        }
+        self.others = {name: on_line[config.link.place] - 1 for name, config in fleet.controllers.items()}
+        """How many other controllers are on the line of each, whatever they are asked."""
+        self._silent_ns = {name: SILENT_NS + OTHER_NS * others for name, others in self.others.items()}
         self._infos: dict[str, Info] = {}
         self._last_event: dict[str, tuple[str, int]] = {}
         self._awaited: dict[str, tuple[str, int]] = {}

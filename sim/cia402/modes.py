@@ -120,7 +120,8 @@ class ProfilePosition(Mode):
             servo.go(to_target(servo.speed, point.target - servo.demand, point.velocity, point.up, point.down))
 
     def resume(self) -> None:
-        if self._now is not None:
+        # Who stands at its target already does not move.
+        if self._now is not None and (self.servo.speed or self._now.target != self.servo.demand):
             self.servo.at_tick(self._go)
 
     def ended(self) -> None:

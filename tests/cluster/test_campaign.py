@@ -30,6 +30,12 @@ def test_no_seed_violates_an_invariant(first: int) -> None:
     assert hits >= CHUNK * (ACTS - 1)
 
 
+@pytest.mark.parametrize("seed", [51175, 52181, 53295])
+def test_seeds_that_found_something_do_not_find_it_again(seed: int) -> None:
+    story = play(seed, cells_of(seed))
+    assert not story.violations, story.tell()
+
+
 def test_here_everything_breaks_at_every_stage() -> None:
     cells = [cell for seed in range(SEEDS) for cell in cells_here(seed)]
     assert {(cell.stage, cell.fault) for cell in cells} == {(stage, fault) for stage in STAGES for fault in FAULTS}

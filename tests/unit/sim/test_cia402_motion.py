@@ -103,6 +103,18 @@ def test_halt_and_on() -> None:
     assert bench.drive.position("1") == 20_000.0
 
 
+def test_halt_at_the_target_and_on_is_no_motion() -> None:
+    bench = CanBench()
+    bench.enable(1)
+    move(bench, 2000, wait_ms=1000)
+    bench.control(0x10F)
+    bench.wait(20)
+    bench.control(0x0F)
+    bench.wait(100)
+    assert bench.drive.position("1") == 2000.0
+    assert len(bench.drive.motions) == 1
+
+
 def test_profile_velocity() -> None:
     bench = CanBench()
     bench.enable(3)
