@@ -51,6 +51,8 @@ def drive_on(network: canopen.Network, node: int) -> BaseNode402:
     drive = BaseNode402(node, str(EDS))
     drive.TIMEOUT_CHECK_TPDO = LIMIT_S
     network.add_node(drive)
+    # By default an answer has 0.3 s; the suite keeps both processors busier than that.
+    drive.sdo.RESPONSE_TIMEOUT = LIMIT_S
     # Told by the heartbeat: the boot-up message came before anybody listened.
     drive.sdo[0x1017].raw = 20
     # A node of this client takes PDOs that have come twice for periodic ones, and waits for the next.
