@@ -27,7 +27,7 @@ from adapters.shrc203.moves import Mover
 from adapters.shrc203.options import Options
 from adapters.shrc203.polling import Poller
 from adapters.shrc203.registered import Kind, registered
-from adapters.shrc203.replies import BITS, flags, triples
+from adapters.shrc203.replies import BITS, flags
 from adapters.shrc203.session import Session
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.unitstate import UnitState
@@ -86,9 +86,11 @@ class ShrcDriver(Driver):
         await startup.compare(unit.session, self._config, self._options, unit.controllable)
         loops = await unit.session.ask("?:FW", flags(len(unit.controllable)))
         unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
-        if self._sentinel is not None and await unit.session.ask(self._sentinel[0], triples(1)) != self._sentinel[1]:
-            self._crystal.forget()
-            self._restarted = True
+        if self._sentinel is not None:
+            unit.sentinel = self._sentinel
+            if await unit.is_restarted():
+                self._crystal.forget()
+                self._restarted = True
         unit.sentinel = await startup.load_sentinel(unit.session, self._config, unit.controllable)
         self._sentinel = unit.sentinel
         if self._config.inputs:

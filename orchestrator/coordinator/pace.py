@@ -37,7 +37,7 @@ class _Seen:
     def slowest(self) -> float:
         return max(self._kept, default=0.0)
 
-    def allow(self, declared: float, known: bool, room: float = ROOM) -> float:
+    def allow(self, declared: float, known: bool = True, room: float = ROOM) -> float:
         """What the next one is given. Until they are known, or if that is not to count: what is declared, or the
         slowest."""
         return room * self.slowest if known and self.known else max(declared, self.slowest)
@@ -81,7 +81,7 @@ class Pace:
 
     def go_ns(self, members: int) -> int:
         """What decision and release alone are given, of so many members."""
-        return round(self._goes_ns.allow(_unknown_ns(members) / 2, True, GO_ROOM))
+        return round(self._goes_ns.allow(_unknown_ns(members) / 2, room=GO_ROOM))
 
     def margin_ns(self, members: int, known: bool = True) -> int:
         """What promise, decision and release are given, of so many members."""
@@ -90,7 +90,7 @@ class Pace:
             declared_ns = half_ns + max(half_ns, self.go_ns(members))
             return round(self._releases_ns.allow(declared_ns, known))
         # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0, known) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
+        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
 
 
 def _unknown_ns(members: int) -> int:

@@ -101,6 +101,11 @@ class World:
     async def sleep(self, ms: float) -> None:
         await sleep_ns(self.clock, round(ms * NS_PER_MS))
 
+    async def power_cycle(self, unit: SimulatedController, off_ms: float) -> None:
+        unit.set_power(False)
+        await self.sleep(off_ms)
+        unit.set_power(True)
+
     async def typed(self, data: bytes, ms: float = 60) -> None:
         """What somebody else says on the line before the drivers are there."""
         link = await self.wire.open()

@@ -375,9 +375,7 @@ def test_power_lost_and_back_in_a_move() -> None:
         await driver.go()
         await driver.started()
         await world.sleep(300)
-        unit.set_power(False)
-        await world.sleep(50)
-        unit.set_power(True)
+        await world.power_cycle(unit, 50)
         assert (await driver.outcome()).state == "fault"
         await sees_the_restart(driver)
 
@@ -395,9 +393,7 @@ def test_power_lost_and_back_just_before_the_start_is_no_start() -> None:
         await driver.verify()
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
-        unit.set_power(False)
-        await world.sleep(40)
-        unit.set_power(True)
+        await world.power_cycle(unit, 40)
         with pytest.raises(DriverFault, match="restarted before its start") as caught:
             await driver.started()
         assert caught.value.fault.code == "not-started"

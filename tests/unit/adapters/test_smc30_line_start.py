@@ -112,9 +112,7 @@ def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(a
         lowered = driver.lower(await world.plan(driver, 6000), wait(), None)
         arming = asyncio.ensure_future(driver.arm(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
-        unit.set_power(False)
-        await world.sleep(100)
-        unit.set_power(True)
+        await world.power_cycle(unit, 100)
         with pytest.raises((CannotDo, DriverFault)):
             await arming
         await sees_the_restart(driver)
@@ -152,9 +150,7 @@ def test_power_lost_and_back_before_the_line_is_no_start_where_the_target_is_whe
         await driver.verify()
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
-        unit.set_power(False)
-        await world.sleep(40)
-        unit.set_power(True)
+        await world.power_cycle(unit, 40)
         with pytest.raises(DriverFault) as caught:
             await driver.started()
         assert caught.value.fault.code == "not-started"
@@ -168,9 +164,7 @@ def test_a_waiting_unit_that_was_switched_off_is_not_promised() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        unit.set_power(False)
-        await world.sleep(200)
-        unit.set_power(True)
+        await world.power_cycle(unit, 200)
         await world.sleep(200)
         with pytest.raises(CannotDo) as caught:
             await driver.verify()
