@@ -2,8 +2,13 @@
 
 Of each start an interval is known: not later than its acknowledgement can have begun to be sent, nor than its end less
 its duration; not earlier than an end that had not come yet, less its duration. What a firmware has done does not bind
-it: the promise stays what was declared, and is only widened by a start that lies outside. But where between its bounds
+it: the promise stays what was declared, and is only widened, by starts that lie outside. But where between its bounds
 a unit usually starts can be shown, and the starting line is written so that T0 is met in the middle of that.
+
+One start in `KEPT` may lie anywhere: a firmware that hung once for 0.2 s would otherwise have every job refused whose
+start may be less uncertain than that, and so make none of the starts that could show that it is well again. That
+start is told where it was made (its evidence lies outside its promise). From the second one on it is the unit's way,
+and promised, until it is older than `KEPT` starts.
 """
 
 from collections import deque
@@ -45,11 +50,13 @@ class LatencyEstimator:
         self._starts.append((earliest_ns, latest_ns))
         if answered_ns is not None:
             self._answered.append(answered_ns)
-        before = self.latency
+        # The second of those that were surely early, and of those that were surely late.
+        early = sorted(each[1] for each in self._starts)[1:2]
+        late = sorted(each[0] for each in self._starts)[-2:-1]
         self.latency = Latency(
             usual_ns=self._usual_ns(),
-            earliest_ns=min(before.earliest_ns, latest_ns),
-            latest_ns=max(before.latest_ns, earliest_ns),
+            earliest_ns=min([self._declared.earliest_ns, *early]),
+            latest_ns=max([self._declared.latest_ns, *late]),
             starts=len(self._starts),
         )
 

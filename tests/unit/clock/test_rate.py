@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.clock.latency import Latency, LatencyEstimator
+from orchestrator.clock.latency import KEPT, Latency, LatencyEstimator
 from orchestrator.clock.rate import Gate, Measure, RateEstimator
 from orchestrator.clock.timed import TimedMove
 from orchestrator.clock.unread import UnreadClock
@@ -130,13 +130,26 @@ def test_the_middle_of_starts_is_learned_where_nothing_is_held_back() -> None:
     assert held.latency == replace(START, starts=30)
 
 
-def test_a_start_outside_the_promise_widens_it_at_once() -> None:
+def test_the_second_start_outside_the_promise_widens_it_for_as_long_as_it_is_kept() -> None:
     starts = LatencyEstimator(START)
-    starts.take(4 * NS_PER_MS, 5 * NS_PER_MS, 5 * NS_PER_MS)
-    assert (starts.latency.earliest_ns, starts.latency.latest_ns) == (0, 4 * NS_PER_MS)
-    for _ in range(10):
+    for each_ms, promised_ms in ((180, None), (4, 4), (5, 5)):
+        starts.take(each_ms * NS_PER_MS, (each_ms + 1) * NS_PER_MS, None)
+        latest_ns = START.latest_ns if promised_ms is None else promised_ms * NS_PER_MS
+        assert (starts.latency.earliest_ns, starts.latency.latest_ns) == (START.earliest_ns, latest_ns)
+    for _ in range(KEPT - 2):
         starts.take(NS_PER_MS, 2 * NS_PER_MS, None)
+    # The one that was late for once is gone: what is left of the others is one.
     assert starts.latency.latest_ns == 4 * NS_PER_MS
+    starts.take(NS_PER_MS, 2 * NS_PER_MS, None)
+    assert starts.latency.latest_ns == START.latest_ns
+
+
+def test_starts_before_the_promise_widen_it_as_well() -> None:
+    starts = LatencyEstimator(START)
+    for _ in range(2):
+        assert starts.latency.earliest_ns == START.earliest_ns
+        starts.take(-3 * NS_PER_MS, -2 * NS_PER_MS, None)
+    assert starts.latency.earliest_ns == -2 * NS_PER_MS
 
 
 def test_figures_of_the_benchmark() -> None:
