@@ -203,7 +203,7 @@ class Motion:
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             try:
                 await self._arm(moving, step)
-                await self._judge_frozen(moving, job, step)
+                await self._settle(moving, job, step, forward=growth is None and not step.align)
                 await self._require_time(moving, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
@@ -235,15 +235,8 @@ class Motion:
         except Refuse:
             pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
-        await self._runs(
-            self._journal.decide,
-            moving.job_id,
-            moving.index,
-            self._throne.epoch,
-            moving.t0_fleet_ns,
-            ",".join(moving.proposals),
-            self._clock.utc(),
-        )
+        epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
+        await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
         if self._throne.over:
             await self._disarm(moving)
             raise Refuse("deposed", "another coordinator has taken over")
@@ -296,18 +289,21 @@ class Motion:
         await self._disarm_if_refused(moving, moving.armed)
         self._proposing.pace.armed(declared_ns, took_ns)
 
-    async def _judge_frozen(self, moving: Moving, job: Job, step: Move) -> None:
-        """Once more, with the clock mappings that are frozen into what is armed."""
+    async def _settle(self, moving: Moving, job: Job, step: Move, forward: bool) -> None:
+        """Judge once more, by what is armed. forward: what arming has not taken of its time, the step begins sooner."""
         try:
-            self._proposing.judge(moving, moving.armed, job, step)
+            self._proposing.settle(moving, job, step, self._throne.fleet_now_ns() if forward else None)
         except Refuse:
             await self._disarm(moving)
             raise
 
     async def _commit(self, moving: Moving) -> None:
+        sooner_ns, moving.sooner_ns = moving.sooner_ns, 0
         requests = {
-            member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals
+            member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member), sooner_ns=sooner_ns)
+            for member in moving.proposals
         }
+        moving.t0_fleet_ns -= sooner_ns
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         promises = await self._members.ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
         await self._disarm_if_refused(moving, promises)
