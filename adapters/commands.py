@@ -38,6 +38,7 @@ from orchestrator.model.messages import (
     HomeRequest,
     JogRequest,
     LeasedRequest,
+    LeaseReply,
     LeaseRequest,
     OutputRequest,
     Proposal,
@@ -103,7 +104,7 @@ class Commands:
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (Adopt, Adopted, self._adopt),
-            "lease": (LeaseRequest, Reply, self._lease),
+            "lease": (LeaseRequest, LeaseReply, self._lease),
             "propose": (Propose, Proposal, parts.member.propose),
             "arm": (Arm, Armed, parts.member.arm),
             "commit": (Commit, Reply, self._commit),
@@ -173,14 +174,13 @@ class Commands:
         await self._unit.stop(request.mode == "abort", reason, follow=request.mode == "hold")
         return Reply()
 
-    async def _lease(self, request: LeaseRequest) -> Reply:
+    async def _lease(self, request: LeaseRequest) -> LeaseReply:
         self._condition.require_known(request.axes)
         before = self._parts.leases.holders
         self._parts.leases.grant(request)
-        if self._parts.leases.holders != before:
-            # Not at each renewal: a state that comes says that the controller was read.
-            self._presenter.publish()
-        return Reply()
+        # Not at each renewal: a state that comes says that the controller was read.
+        changed = self._parts.leases.holders != before
+        return LeaseReply(state=self._presenter.publish() if changed else None)
 
     async def _enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)

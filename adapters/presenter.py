@@ -130,15 +130,17 @@ class Presenter:
             event_seq=self._events.last_seq,
         )
 
-    def publish(self) -> None:
-        """Put the state, and now and then the clock mapping."""
+    def publish(self) -> ControllerState:
+        """Put the state, which it gives, and now and then the clock mapping."""
         self._state_seq += 1
         self.published_ns = self._clock.now_ns()
-        self._bus.put(self._keys.state(self._controller), self.state().to_json(), Priority.STATE)
+        state = self.state()
+        self._bus.put(self._keys.state(self._controller), state.to_json(), Priority.STATE)
         mapping = self._mapping()
         if mapping is not None and self._state_seq % CLOCK_EVERY == 0:
             shown = clock_mapping(self._controller, mapping, self._clock.now_ns())
             self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
+        return state
 
     def _axis(self, name: str, reading: Reading | None) -> AxisState:
         axis = self._config.axes[name]

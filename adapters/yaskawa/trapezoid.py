@@ -161,13 +161,14 @@ def fit(
     wanted = _Wanted([_row(axis, each, bounds[axis], tick_ns, model, places) for axis, each in profiles.items()])
     candidates = _by_speed(wanted, model)
     ranks = wanted.rank(candidates)
-    own, own_ranks = list(candidates), list(ranks)
-    if (ranks.min(axis=1, keepdims=True) > GOOD * wanted.plan.peak).any():
+    poor = (ranks.min(axis=1, keepdims=True) > GOOD * wanted.plan.peak)[:, 0]
+    finalists = np.empty((len(ranks), FINALISTS, len(_UNITS)))
+    if not poor.all():
+        finalists[~poor] = _best(candidates[~poor], ranks[~poor])
+    if poor.any():
         more = _by_ramps(wanted, model)
-        for k, (added, rank) in enumerate(zip(more, wanted.rank(more), strict=True)):
-            if own_ranks[k].min() > GOOD * wanted.plan.peak[k]:
-                own[k], own_ranks[k] = np.concatenate([own[k], added]), np.concatenate([own_ranks[k], rank])
-    finalists = np.array([_best(each, rank) for each, rank in zip(own, own_ranks, strict=True)])
+        candidates = np.concatenate([candidates, more], axis=1)
+        finalists[poor] = _best(candidates[poor], np.concatenate([ranks, wanted.rank(more)], axis=1)[poor])
     laws = _Law.by(wanted.way, finalists)
     # As they lie on the samples, to choose; and about T0, to tell.
     errors = _path_errors(wanted, laws)
@@ -248,16 +249,25 @@ def _values(value: Array, step: int, top: Array, neighbours: Array) -> Array:
     return np.minimum(np.maximum((np.minimum(value, HUGE) // step + neighbours) * step, step), top)
 
 
-def _best(candidates: Array, ranks: Array) -> list[list[float]]:
-    """The best few that differ, for one may have been found in several ways; where there are fewer, the last again."""
-    found: list[list[float]] = []
-    for k in np.argsort(ranks, kind="stable")[:ALIKE]:
-        row: list[float] = candidates[k].tolist()
-        if row not in found:
-            found.append(row)
-            if len(found) == FINALISTS:
-                break
-    return found + found[-1:] * (FINALISTS - len(found))
+def _best(candidates: Array, ranks: Array) -> Array:
+    """For each axis the best few that differ, for one may have been found in several ways; where there are fewer, the
+    last again."""
+    order = np.argsort(ranks, axis=1, kind="stable")[:, :ALIKE]
+    rows = np.take_along_axis(candidates, order[..., None], axis=1)
+    # Those that are alike rank alike, so that they mostly follow each other.
+    new = np.ones(order.shape, bool)
+    new[:, 1:] = (rows[:, 1:] != rows[:, :-1]).any(axis=2)
+    chosen: list[list[list[float]]] = []
+    for k in range(len(rows)):
+        found: list[list[float]] = []
+        for place in np.flatnonzero(new[k]):
+            row: list[float] = rows[k, place].tolist()
+            if row not in found:
+                found.append(row)
+                if len(found) == FINALISTS:
+                    break
+        chosen.append(found + found[-1:] * (FINALISTS - len(found)))
+    return np.array(chosen)
 
 
 def _together(speed: Array, up: Array, down: Array) -> Array:

@@ -2,7 +2,7 @@
 second, and nothing else of a process may stand still for that."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
@@ -13,6 +13,16 @@ class Runs(Protocol):
     """Runs calls, in the order in which they are given."""
 
     async def __call__(self, function: Callable[..., T], *values: Any) -> T: ...
+
+
+async def beside(telling: Coroutine[Any, Any, None], doing: Coroutine[Any, Any, T]) -> T:
+    """Do something while a disk is told of it, and give its result. What must not be done before it is on disk can not
+    be done so; but what is told in turn is there in that order."""
+    told = asyncio.ensure_future(telling)
+    try:
+        return await doing
+    finally:
+        await told
 
 
 async def inline(function: Callable[..., T], *values: Any) -> T:

@@ -208,8 +208,9 @@ class JobRun:
         try:
             check_job(works.view.fleet, self.to_run)
             axes = axes_of(works.view.fleet, self.to_run)
+            since_ns = works.clock.now_ns()
             await works.leases.take(self.row.id, self.row.actor, f"job {self.row.name!r}", axes)
-            await self._until_at_rest()
+            await self._until_at_rest(since_ns)
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):
                 self._step, self._step_t0_ns, self._step_s = index, 0, 0.0
@@ -372,14 +373,14 @@ class JobRun:
             except Refuse as error:
                 works.log.warning(f"left enabled after the job: {error.refusal.text}", job=self.row.id)
 
-    async def _until_at_rest(self) -> None:
+    async def _until_at_rest(self, since_ns: int | None = None) -> None:
         """Wait until what was stopped, with this job or an earlier reign or hand, has come to the end of its ramp. Who
         does not answer, or takes longer than it has declared, is waited for only as long as that: planning refuses
-        it."""
-        self._seen_ns = self._works.clock.now_ns()
-        await asyncio.gather(*(self._rests(member) for member in self.members))
+        it. since_ns: from when on an answer counts."""
+        self._seen_ns = self._works.clock.now_ns() if since_ns is None else since_ns
+        await asyncio.gather(*(self._rests(member, since_ns) for member in self.members))
 
-    async def _rests(self, member: str) -> None:
+    async def _rests(self, member: str, since_ns: int | None) -> None:
         works = self._works
         # The ramps of a step may be gentler than any that its axes can do.
         stop_ns = works.motion.stops_ns.get(member, 0)
@@ -389,7 +390,7 @@ class JobRun:
         while works.clock.now_ns() < until_ns:
             # Who can not be asked is stopped by others, its guardian or its own watchdog, which takes as long.
             with suppress(BusError):
-                state = await works.view.fresh(member)
+                state, since_ns = await works.view.fresh(member, since_ns), None
                 # Who has just begun to look for its reference has not been seen to move yet.
                 busy = any(each.moving or each.homing for each in state.axes.values())
                 if state.mode not in ("moving", "stopping") and not busy:

@@ -13,7 +13,7 @@ from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.targets import Refuse, refuse
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.fleet import by_controller
-from orchestrator.model.messages import LeaseRequest, Reply
+from orchestrator.model.messages import LeaseReply, LeaseRequest
 from orchestrator.model.report import Lease
 
 ANSWER_S = 2.0
@@ -204,17 +204,21 @@ class LeaseBook:
     async def _tell(self, held: Held, ttl_ms: int, reason: str = "") -> None:
         """Tell the adapters. Raises `Refuse` for the first that refuses."""
 
-        async def ask(controller: str, names: list[str]) -> Reply:
+        asked_ns = self._clock.now_ns()
+
+        async def ask(controller: str, names: list[str]) -> LeaseReply:
             fields = self._members.fields(held.actor)
             request = LeaseRequest(
                 **fields, axes=names, holder=held.holder, taking=held.taking, ttl_ms=ttl_ms, reason=reason
             )
-            return await self._members.ask(controller, "lease", request, Reply, ANSWER_S)
+            return await self._members.ask(controller, "lease", request, LeaseReply, ANSWER_S)
 
         replies = await asyncio.gather(*(ask(c, names) for c, names in by_controller(held.axes).items()))
         for reply in replies:
             if reply.refused is not None:
                 raise refuse(reply.refused)
+            if reply.state is not None:
+                self._view.answered(reply.state, asked_ns)
 
     async def _renew(self) -> None:
         while True:

@@ -8,7 +8,7 @@ from typing import Any
 from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
-from orchestrator.clock.disk import Runs
+from orchestrator.clock.disk import Runs, beside
 from orchestrator.coordinator.budget import judge, skew
 from orchestrator.coordinator.journal import Journal
 from orchestrator.coordinator.members import ANSWER_S, Members
@@ -89,8 +89,7 @@ class Motion:
         goal: the exact targets of its axes, empty at first; given again when a step that was held goes on. seen_ns:
         since when nothing has been done with its axes; None: nobody has looked.
         """
-        await on_state("planning", "")
-        moving = await self._plan(job_id, job, index, step, goal, seen_ns)
+        moving = await beside(on_state("planning", ""), self._plan(job_id, job, index, step, goal, seen_ns))
         goal.update({axis: exact for axis, (exact, _) in moving.resolved.exact.items()})
         if not moving.plan.profiles:
             return StepReport(index=index, do="move", name=step.name or "", state="done", reason="already there")
@@ -192,17 +191,17 @@ class Motion:
         """Load all and let them go. Who is late while nothing has moved is armed again, with more lead."""
         late = Refuse("late", "", "")
         for growth in LEADS:
-            await on_state("arming", "")
             _require_not_held(moving)
             if growth is not None:
                 self._log.warning(f"late; arming again with more lead ({late.refusal.text})", job=moving.job_id)
                 await self._proposing.again(moving, step, growth)
             elif step.align:
+                await on_state("arming", "")
                 await self._await_alignment(moving, step)
             moving.arming_fleet_ns = self._throne.fleet_now_ns()
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             try:
-                await self._arm(moving, step)
+                await beside(on_state("arming", ""), self._arm(moving, step))
                 await self._settle(moving, job, step, forward=growth is None and not step.align)
                 await self._require_time(moving, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
@@ -219,8 +218,7 @@ class Motion:
     async def _release(self, moving: Moving, on_state: Callable[[JobState, str], Coroutine[Any, Any, None]]) -> None:
         """Have all promise, write down that they go, and let them. Raises `Refuse`: all are unloaded or stopped."""
         armed_ns = self._clock.now_ns()
-        await on_state("armed", "")
-        await self._commit(moving)
+        await beside(on_state("armed", ""), self._commit(moving))
         if moving.held_by is not None:
             await self._disarm(moving)
             _require_not_held(moving)
@@ -233,7 +231,7 @@ class Motion:
         try:
             await self._require_time(moving, "promises took longer than was allowed for")
         except Refuse:
-            pace.late(promised_ns - armed_ns, len(moving.proposals))
+            pace.late(moving.proposals, promised_ns - armed_ns)
             raise
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
@@ -241,9 +239,9 @@ class Motion:
             await self._disarm(moving)
             raise Refuse("deposed", "another coordinator has taken over")
         moving.decided = True
-        await on_state("committed", "")
-        await self._go(moving)
-        pace.released(self._clock.now_ns() - armed_ns, self._clock.now_ns() - promised_ns)
+        await beside(on_state("committed", ""), self._go(moving))
+        now_ns = self._clock.now_ns()
+        pace.released(moving.proposals, now_ns - armed_ns, now_ns - promised_ns)
 
     async def _require_time(self, moving: Moving, late: str) -> None:
         """For what is still to be done, and then for unloading all if that fails. Raises `Refuse`: all are unloaded."""

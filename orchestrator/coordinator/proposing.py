@@ -123,10 +123,10 @@ class Proposing:
     def _sooner(self, moving: Moving, now_ns: int) -> tuple[int, int]:
         """What arming was given and has not taken, and how far that is at the most from a whole number of anybody's
         ticks: by whole ticks nothing of what is armed changes. Nothing, where a member can not."""
-        proposals = moving.proposals.values()
-        spare_ns = moving.t0_fleet_ns - now_ns - moving.disarm_ns - self.pace.margin_ns(len(moving.proposals))
-        if spare_ns <= 0 or not all(each.sooner for each in proposals):
+        proposals, needs_ns = moving.proposals.values(), self.pace.release_ns(moving.proposals)
+        if needs_ns is None or not all(each.sooner for each in proposals):
             return 0, 0
+        spare_ns = max(0, moving.t0_fleet_ns - now_ns - moving.disarm_ns - needs_ns)
         ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
         if not ticks_ns:
             return spare_ns, 0

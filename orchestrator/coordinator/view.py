@@ -79,17 +79,21 @@ class FleetView:
         return "its adapter was started anew" if anew else None
 
     async def fresh(self, controller: str, since_ns: int | None = None) -> ControllerState:
-        """The state as it is now, asked for; or as it was when it was last asked for, not before `since_ns`. Raises
-        `BusError`."""
+        """The state as it is now, asked for; or as it was when it was last asked for, or for a lease, not before
+        `since_ns`. Raises `BusError`."""
         asked_ns, state = self._asked.get(controller, (0, None))
         if state is not None and since_ns is not None and asked_ns >= since_ns:
             return state
         asked_ns = self._clock.now_ns()
         payload = await self._bus.request(self._keys.state(controller), b"", timeout_s=1.0)
         state = ControllerState.model_validate_json(payload)
-        self._asked[controller] = (asked_ns, state)
-        self._take(state)
+        self.answered(state, asked_ns)
         return state
+
+    def answered(self, state: ControllerState, asked_ns: int) -> None:
+        """This is the answer to somebody who has asked then."""
+        self._asked[state.controller] = (asked_ns, state)
+        self._take(state)
 
     async def info(self, controller: str) -> Info:
         """Who the controller is; asked for once per instance of its adapter. Raises `BusError`."""

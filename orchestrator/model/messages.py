@@ -6,7 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.base import HostNs, Id, Int53, Model
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import ClockMapping, Costs, StartClass, StartWish
+from orchestrator.model.state import ClockMapping, ControllerState, Costs, StartClass, StartWish
 from orchestrator.model.units import Quantity
 
 
@@ -226,6 +226,13 @@ class LeaseRequest(AxesRequest):
     taking: Int53 = 0
     reason: str = ""
     ttl_ms: int = Field(ge=0, le=60_000)
+
+
+class LeaseReply(Reply):
+    """state: as it is when somebody else has the axes now, so that nobody needs to ask for it; none when nothing has
+    changed."""
+
+    state: ControllerState | None = None
 
 
 class LeasedRequest(AxesRequest):

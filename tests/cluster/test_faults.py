@@ -15,10 +15,11 @@ from cluster.worlds import (
     PREPARE,
     changed,
     demo_fleet,
+    first_leases_ns,
     job,
     origin_host_ns,
     outcome,
-    rested_when_leased,
+    rested,
     run_fleet,
 )
 
@@ -130,7 +131,7 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
-        rested = await rested_when_leased(fleet, client, "gantry")
+        leased_ns = await first_leases_ns(fleet, client, "gantry")
         first = await client.submit(GANTRY)
         second = await client.submit(BACK)
         await asyncio.sleep(3.0)
@@ -142,7 +143,7 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
         assert (await client.wait(first)).state == ("failed" if closed else "cancelled")
         report = await client.wait(second)
         assert report.state == "done", report.reason
-        assert rested[second]
+        assert rested(fleet, "gantry", leased_ns[second])
 
     run_fleet(main)
 
@@ -371,7 +372,7 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
         client = fleet.client()
-        rested = await rested_when_leased(fleet, client, "steps")
+        leased_ns = await first_leases_ns(fleet, client, "steps")
         first = await client.submit(job("[{do: move, to: {steps.x: 150}}]", max_start_skew="50 ms"))
         await fleet.until(lambda states: states["steps"].mode == "moving")
         await sleep_ns(fleet.clock, 8 * NS_PER_S)
@@ -383,7 +384,7 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
         stopped = fleet.controllers["steps"].motions[-1]
         assert stopped.slowing_ns is not None and stopped.end_ns is not None
         assert stopped.end_ns - stopped.slowing_ns > 4 * NS_PER_S
-        assert rested[then]
+        assert rested(fleet, "steps", leased_ns[then])
 
     run_fleet(main, gentle_fleet(steps=steps))
 

@@ -3,7 +3,7 @@
 import asyncio
 
 import pytest
-from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, rested_when_leased, run_fleet
+from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 
 from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -230,13 +230,16 @@ def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))
         client = fleet.client()
-        rested = await rested_when_leased(fleet, client, "gantry")
+        leased_ns, before = await first_leases_ns(fleet, client, "gantry"), len(fleet.controllers["gantry"].motions)
         first = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
         second = await client.submit(job("[{do: enable, axes: [gantry.x]}]"))
         await asyncio.sleep(after_ms / 1000)
         await client.cancel(first)
         assert (await client.wait(second)).state == "done"
-        assert rested[second]
+        assert rested(fleet, "gantry", leased_ns[second])
+        # Nor did it begin afterwards.
+        searched = fleet.controllers["gantry"].motions[before:]
+        assert all(motion.start_ns < leased_ns[second] for motion in searched)
 
     run_fleet(main, searching())
 

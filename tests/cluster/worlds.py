@@ -76,16 +76,22 @@ def origin_host_ns(fleet: VirtualFleet) -> int:
     return next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
 
 
-async def rested_when_leased(fleet: VirtualFleet, client: Tutti, controller: str) -> dict[str, bool]:
-    """By holder, whether `controller` was at rest when it was leased to them first; filled from now on."""
-    rested: dict[str, bool] = {}
+async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -> dict[str, int]:
+    """By holder, when `controller` was leased to them first; filled from now on."""
+    leased_ns: dict[str, int] = {}
 
     def look(sample: Sample) -> None:
         holder = Lease.model_validate_json(sample.payload).holder
-        rested.setdefault(holder or "", fleet.controllers[controller].at_rest())
+        leased_ns.setdefault(holder or "", fleet.clock.now_ns())
 
     await client.bus.subscribe(fleet.keys.lease(controller), look)
-    return rested
+    return leased_ns
+
+
+def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
+    """Whether every motion of `controller` that began before `at_ns` had ended by then."""
+    made = fleet.controllers[controller].motions
+    return all(each.end_ns is not None and each.end_ns <= at_ns for each in made if each.start_ns < at_ns)
 
 
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
