@@ -11,6 +11,7 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 from orchestrator.bus.base import RequestRefused
 from orchestrator.client.api import Refused
 from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.messages import Reply
 from orchestrator.model.queue import Terms
@@ -229,8 +230,9 @@ def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None
 
 
 @pytest.mark.parametrize("begun", [True, False])
-def test_a_job_does_not_begin_while_the_journal_can_not_say_so(begun: bool) -> None:
-    """One that has begun fails at its next step; one that was about to waits, and takes its axes once more."""
+def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
+    """One that has begun fails at its next step; one that was about to, and has its axes, waits, and takes them once
+    more."""
 
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
@@ -238,10 +240,21 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(begun: bool) -> N
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
         held = await client.submit(SHORT, terms=Terms(held=True))
         before = fleet.controllers["gantry"].position("Y")
+        take, taken = LeaseBook.take, asyncio.Event()
+
+        async def take_as_the_disk_fails(leases: LeaseBook, *who: Any) -> Any:
+            axes = await take(leases, *who)
+            if not begun and not taken.is_set():
+                db.execute("PRAGMA query_only=ON")
+            taken.set()
+            return axes
+
+        monkeypatch.setattr(LeaseBook, "take", take_as_the_disk_fails)
         blocked = await client.submit(job("[{do: dwell, duration: 2 s}, {do: move, by: {gantry.y: 1}}]"))
         await client.release(held)
         while begun and (await blocked.show()).transitions[-1].state != "running":
             await asyncio.sleep(0.01)
+        await taken.wait()
         db.execute("PRAGMA query_only=ON")
         await asyncio.sleep(20)
         assert fleet.controllers["gantry"].position("Y") == before
