@@ -16,6 +16,7 @@ from orchestrator.clock.base import NS_PER_MS
 KNOWN = 16  # steps from which on what was seen counts
 KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
+SOONER_ROOM = 1.25  # over the slowest release of a step that is brought forward: there is nothing else left to make up
 GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
@@ -90,7 +91,7 @@ class Pace:
         if together is None or not together.known:
             return None
         # They may have been quick when go was slow with others.
-        return max(self._margin_ns(together, count), self.go_ns(count) + LEAST_MARGIN_NS)
+        return max(self._margin_ns(together, count, SOONER_ROOM), self.go_ns(count) + LEAST_MARGIN_NS)
 
     def go_ns(self, members: int) -> int:
         """What decision and release alone are given, of so many members."""
@@ -104,9 +105,9 @@ class Pace:
             return round(self._releases_ns.allow(declared_ns, known))
         return self._margin_ns(self._releases_ns, members)
 
-    def _margin_ns(self, releases_ns: _Seen, members: int) -> int:
+    def _margin_ns(self, releases_ns: _Seen, members: int, room: float = ROOM) -> int:
         # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
+        return max(LEAST_MARGIN_NS, round(releases_ns.allow(0, room=room) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
 
     def _add_release(self, members: Iterable[str], took_ns: float) -> None:
         self._releases_ns.add(took_ns)

@@ -7,6 +7,7 @@ from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, o
 
 from adapters.unit import Unit
 from orchestrator.bus.base import Sample
+from orchestrator.bus.memory import MemoryBus
 from orchestrator.client.api import Refused
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
@@ -243,6 +244,28 @@ def test_relative_moves_there_and_back_end_on_the_same_count() -> None:
         report = await outcome(fleet, job("[" + ", ".join([there, back] * 30 + [there] * 3 + [back] * 3) + "]"))
         assert report.state == "done", report.reason
         assert fleet.controllers["stage"].position("1") == before
+
+    run_fleet(main)
+
+
+def test_what_a_lease_was_answered_with_is_not_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    request = MemoryBus.request
+
+    async def noted(self: MemoryBus, key: str, payload: bytes, timeout_s: float) -> bytes:
+        asked.append(key)
+        return await request(self, key, payload, timeout_s)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        monkeypatch.setattr(MemoryBus, "request", noted)
+        steps = "[{do: move, by: {gantry.x: 1, stage.u: 1}}, {do: move, by: {gantry.x: 1, stage.u: 1}}]"
+        report = await outcome(fleet, job(steps, max_start_skew="50 ms"))
+        assert report.state == "done", report.reason
+        states = [key for key in asked if key in (fleet.keys.state("gantry"), fleet.keys.state("stage"))]
+        # Before the second step they are: the first has moved them.
+        assert sorted(states) == sorted([fleet.keys.state("gantry"), fleet.keys.state("stage")])
+        assert len([key for key in asked if key.endswith("/lease")]) >= 2
 
     run_fleet(main)
 

@@ -16,6 +16,7 @@ from orchestrator.coordinator.pace import (
     LEAST_MARGIN_NS,
     MARGIN_NS,
     ROOM,
+    SOONER_ROOM,
     TOGETHER,
     Pace,
 )
@@ -106,10 +107,10 @@ def test_how_quickly_members_release_together_is_known_of_just_these() -> None:
         assert pace.release_ns("ab") is None
         pace.released("ba", (20 + k) * NS_PER_MS, 10 * NS_PER_MS)
     slowest_ms = 20 + KNOWN - 1
-    assert pace.release_ns("ab") == round((ROOM * slowest_ms + (GO_ROOM - 1) * 10) * NS_PER_MS)
+    assert pace.release_ns("ab") == round((SOONER_ROOM * slowest_ms + (GO_ROOM - 1) * 10) * NS_PER_MS)
     assert pace.release_ns("a") is None and pace.release_ns("abc") is None
     pace.late("ab", 60 * NS_PER_MS)
-    assert pace.release_ns("ab") == round((ROOM * (60 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
+    assert pace.release_ns("ab") == round((SOONER_ROOM * (60 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
     for _ in range(10):
         pace.late_to_go(2)
         assert (pace.release_ns("ab") or 0) >= pace.go_ns(2) + LEAST_MARGIN_NS
