@@ -42,7 +42,6 @@ class Ticket:
     t0_host_ns: int
     axes: tuple[str, ...]
     scale: FleetScale
-    sooner: bool
     phase: Phase = Phase.ARMED
 
 
@@ -112,7 +111,6 @@ class Member:
             terms=list(lowered.terms),
             edge=list(lowered.edge),
             clock_ppm=lowered.clock_ppm,
-            sooner=lowered.sooner,
             commands=list(lowered.commands),
         )
 
@@ -137,8 +135,7 @@ class Member:
                 raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
             if interruptions != self._interruptions:
                 raise CannotDo("stopped", "a stop came before arming", "")
-            axes = tuple(request.profiles)
-            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, axes, scale, lowered.sooner)
+            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, tuple(request.profiles), scale)
             try:
                 async with self._loading:
                     stages = await self._driver.arm(lowered, t0_ns, mapping)
@@ -163,20 +160,11 @@ class Member:
         """Promise, after a last look at the controller."""
         async with self._turn:
             ticket = self._require(request, request.t0_fleet_ns, Phase.ARMED)
-            sooner_ns, interruptions = request.sooner_ns, self._interruptions
-            if sooner_ns and (sooner_ns < 0 or not ticket.sooner):
-                raise CannotDo("not-sooner", "it begins at the T0 that it was armed for", "arm it for another one")
-            t0_ns = ticket.t0_host_ns - sooner_ns
-            if self._clock.now_ns() >= t0_ns:
-                raise CannotDo("late", "T0 is past", "give more lead time")
-            await self._driver.verify(sooner_ns)
+            interruptions = self._interruptions
+            await self._driver.verify()
             if interruptions != self._interruptions or self.ticket is not ticket:
                 raise CannotDo("stopped", "a stop came before the promise", "")
-            t0_fleet_ns = ticket.t0_fleet_ns - sooner_ns
-            promised = replace(ticket, phase=Phase.COMMITTED, t0_fleet_ns=t0_fleet_ns, t0_host_ns=t0_ns)
-            self.ticket = promised
-            if sooner_ns:
-                self._spawn(self._expire(promised))
+            self.ticket = replace(ticket, phase=Phase.COMMITTED)
             return Reply()
 
     async def go(self, request: Go) -> Reply:

@@ -262,8 +262,7 @@ class CiaDriver(Driver):
         assert isinstance(lowered, CiaLowered)
         return await self._moving().arm(lowered, t0_ns)
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        # A SYNC may start several drives, and only all of them together: never sooner.
+    async def verify(self) -> None:
         await self._moving().verify()
 
     async def go(self, slack_ns: int = 0) -> None:

@@ -132,8 +132,8 @@ class PpSmcDriver(Driver):
         assert isinstance(lowered, SmcLowered)
         return await self._moving().arm(lowered, t0_ns)
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        await self._moving().verify(sooner_ns)
+    async def verify(self) -> None:
+        await self._moving().verify()
 
     async def go(self, slack_ns: int = 0) -> None:
         await self._moving().go(slack_ns)

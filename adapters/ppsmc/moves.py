@@ -86,10 +86,9 @@ class Mover:
             raise CannotDo("stopped", "a stop came while arming", "")
         return {"verify": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
-    async def verify(self, sooner_ns: int) -> None:
+    async def verify(self) -> None:
         """Still loaded, still where the plan starts. Raises `CannotDo`."""
         move = self._require()
-        move.t0_ns -= sooner_ns
         lowered = move.lowered
         queries = loading.checks(lowered)
         if lowered.by_program:

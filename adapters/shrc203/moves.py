@@ -99,10 +99,9 @@ class Mover:
         """Whether something is loaded, waits or is under way."""
         return self.move is not None or bool(self._unit.waiting) or self._unit.chaining
 
-    async def verify(self, sooner_ns: int) -> None:
+    async def verify(self) -> None:
         """Still loaded, still where the plan starts. Raises `CannotDo`."""
         move = self._require()
-        move.t0_ns -= sooner_ns
         if not move.lowered.moves:
             return
         if move.lowered.wait is not None:

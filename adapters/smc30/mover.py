@@ -110,10 +110,9 @@ class Mover:
             )
         return loaded_ns
 
-    async def verify(self, sooner_ns: int) -> None:
+    async def verify(self) -> None:
         """Still loaded, still where the plan starts, or still waiting for its line. Raises `CannotDo`."""
         move = self._require()
-        move.t0_ns -= sooner_ns
         lowered, unit = move.lowered, self._unit
         if not lowered.program:
             return

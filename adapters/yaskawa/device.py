@@ -1,7 +1,7 @@
 """The controller behind its two handles: reached, identified, given its resident program, read in one record."""
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 
 from adapters.contract import CannotDo, DriverFault, Identity, Restarted
@@ -178,14 +178,13 @@ class Device:
         record, _, _ = await self._read_record()
         return record
 
-    async def record_and(self, operands: Sequence[str], told: Sequence[str] = ()) -> tuple[Record, list[float]]:
-        """A record, and values as `Session.numbers` reads them, in one exchange where that can be. told: settings that
-        come between the two. Raises `Refused` for one of them."""
+    async def record_and(self, *operands: str) -> tuple[Record, list[float]]:
+        """A record, and values as `Session.numbers` reads them, in one exchange where that can be."""
         asked = message(operands)
-        record, _, lines = await self._read_record((*told, asked))
+        record, _, lines = await self._read_record(asked)
         return record, parse_numbers("".join(lines[-1:]), len(operands), asked)
 
-    async def _read_record(self, also: Sequence[str] = ()) -> tuple[Record, bool, list[str]]:
+    async def _read_record(self, also: str = "") -> tuple[Record, bool, list[str]]:
         """A record, whether its sample number went on from the last reading, and the lines that answer `also`."""
         layout = self.format
         answer = await self.session.ask_record(layout.command, layout.header, layout.length, also)

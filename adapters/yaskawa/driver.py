@@ -76,8 +76,8 @@ class YaskawaDriver(Driver, Generic[_Device]):
 
     # A step
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        await self._start.verify(sooner_ns)
+    async def verify(self) -> None:
+        await self._start.verify()
 
     async def go(self, slack_ns: int = 0) -> None:
         # The controller starts itself.

@@ -381,7 +381,6 @@ def _promise(
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, how),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
-        sooner=True,
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,

@@ -187,9 +187,8 @@ class SerialDevice(Device):
         record, _ = await self._poll_record()
         return record
 
-    async def record_and(self, operands: Sequence[str], told: Sequence[str] = ()) -> tuple[Record, list[float]]:
+    async def record_and(self, *operands: str) -> tuple[Record, list[float]]:
         record = await self.record()
-        await self.session.tell_all(told)
         values, _ = await self.session.numbers(*operands)
         return record, values
 

@@ -106,32 +106,24 @@ class Session:
                 replies: list[_Parsed] = []
 
                 def all_replies(packet: list[str] = packet, replies: list[_Parsed] = replies) -> _Parsed | None:
-                    return self._parse_each(packet, replies)
+                    replies.clear()
+                    used = 0
+                    for _ in packet:
+                        parsed = parse_reply(self._buffer[used:])
+                        if parsed is None:
+                            return None
+                        replies.append(parsed)
+                        used += parsed.used
+                    lines = [line for each in replies for line in each.lines]
+                    return _Parsed(lines, any(each.refused for each in replies), used)
 
                 await self._exchange("\r".join(packet), all_replies)
-                await self._require_taken(packet, replies)
+                refused = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
+                if refused:
+                    raise await self._refusal(refused[-1])
                 self._in_step = True
                 found += (reply.lines for reply in replies)
         return found
-
-    def _parse_each(self, commands: Sequence[str], replies: list[_Parsed]) -> _Parsed | None:
-        """Puts the replies to these commands into `replies`; gives them as one, None while not all are there."""
-        replies.clear()
-        used = 0
-        for _ in commands:
-            parsed = parse_reply(self._buffer[used:])
-            if parsed is None:
-                return None
-            replies.append(parsed)
-            used += parsed.used
-        lines = [line for each in replies for line in each.lines]
-        return _Parsed(lines, any(each.refused for each in replies), used)
-
-    async def _require_taken(self, commands: Sequence[str], replies: Sequence[_Parsed]) -> None:
-        """Raises `Refused` for the last command that was, of which the controller still knows why."""
-        refused = [command for command, reply in zip(commands, replies, strict=True) if reply.refused]
-        if refused:
-            raise await self._refusal(refused[-1])
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.
@@ -162,17 +154,15 @@ class Session:
             self._in_step = True
             return parsed.lines
 
-    async def ask_record(self, command: str, header: bytes, length: int, also: Sequence[str] = ()) -> Answer:
+    async def ask_record(self, command: str, header: bytes, length: int, also: str = "") -> Answer:
         """A command that is answered by a binary record of `length` bytes that begins with `header`, and a prompt.
 
-        also: commands in the same packet, which it has to hold. The answer has the data lines in their replies; its
-        instants are those of the record.
+        also: asked in the same packet, with data lines in its reply. The answer's instants are those of the record.
         """
         async with self._turn:
             await self._get_in_step()
             record: bytes | None = None
             received_ns = 0
-            replies: list[_Parsed] = []
 
             def take_record() -> bytes | None:
                 """b"": refused."""
@@ -202,12 +192,13 @@ class Session:
                     record, received_ns = take_record(), self._at_ns
                     if record is None:
                         return None
-                return self._parse_each(also, replies)
+                return parse_reply(self._buffer) if also else _Parsed([], False, 0)
 
-            said, sent_ns = await self._exchange("\r".join((command, *also)), whole)
+            said, sent_ns = await self._exchange(f"{command}\r{also}" if also else command, whole)
             if not record:
                 raise await self._refusal(command)
-            await self._require_taken(also, replies)
+            if said.refused:
+                raise await self._refusal(also)
             self._in_step = True
             return Answer(said.lines, record, sent_ns, received_ns)
 

@@ -158,21 +158,17 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         # In one go, or the other units' polls would come between its parts; but not for as long as an upload takes.
         async with nullcontext() if isinstance(lowered.load, Records) else self._device.together():
             stages = await self._start.arm(lowered, t0_ns, mapping)
-        self._keep_quiet(t0_ns)
-        return stages
-
-    def _keep_quiet(self, t0_ns: int) -> None:
         self._device.session.keep_quiet(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
+        return stages
 
     def _poll_ns(self) -> int:
         """How long a poll may be under way."""
         characters = POLL_CHARACTERS[0] + POLL_CHARACTERS[1] * len(self._motors)
         return characters * self._char_ns + self._options.decode_us * NS_PER_US * (len(self._motors) + 2)
 
-    async def verify(self, sooner_ns: int = 0) -> None:
+    async def verify(self) -> None:
         async with self._device.together():
-            await super().verify(sooner_ns)
-        self._keep_quiet(self._start.t0_ns)
+            await super().verify()
 
     async def go(self, slack_ns: int = 0) -> None:
         async with self._device.together():

@@ -148,15 +148,10 @@ class Start:
                     "plan again from where it stands",
                 )
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        """Just before the promise: until the program waits at its gate, which looks at XT0 anew each time."""
-        loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE", "XT0")
-        came_for, told = loaded.ticks, list[str]()
-        if sooner_ns:
-            loaded.ticks -= round(sooner_ns / loaded.mapping.tick_ns)
-            loaded.t0_ns -= sooner_ns
-            told = [f"XT0={loaded.ticks}", self._food(loaded.ticks)]
-        record, (armed, running, late, ticks) = await self._device.record_and(asked, told)
+    async def verify(self) -> None:
+        """Just before the promise: until the program waits at its gate."""
+        loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE")
+        record, (armed, running, late) = await self._device.record_and(*asked)
         self._require_ready(record, loaded.lowered)
         while True:
             # The program ends by itself, too, when it comes to its gate after that was to be shut.
@@ -166,8 +161,8 @@ class Start:
                 raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
             if armed:
                 break
-            (armed, running, late, ticks), _ = await self._device.session.numbers(*asked)
-        if ticks != loaded.ticks or armed not in (came_for, ticks):
+            (armed, running, late), _ = await self._device.session.numbers(*asked)
+        if int(armed) != loaded.ticks:
             raise CannotDo("not-armed", "the controller waits for another start", "arm again")
 
     async def go(self) -> None:
@@ -196,11 +191,6 @@ class Start:
         (running,), _ = await session.numbers(f"_HX{STEP_THREAD}")
         if running:
             raise DriverFault("not-halted", "the waiting program does not halt", "reset the controller")
-
-    @property
-    def t0_ns(self) -> int:
-        """Of what is loaded. Raises `CannotDo`."""
-        return self._require_loaded().t0_ns
 
     def forget(self) -> None:
         """What was loaded is not, any more."""

@@ -202,7 +202,7 @@ class Motion:
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             try:
                 await beside(on_state("arming", ""), self._arm(moving, step))
-                await self._settle(moving, job, step, forward=growth is None and not step.align)
+                await self._judge_frozen(moving, job, step)
                 await self._require_time(moving, "arming took longer than was allowed for")
                 await self._release(moving, on_state)
             except Refuse as refused:
@@ -231,7 +231,7 @@ class Motion:
         try:
             await self._require_time(moving, "promises took longer than was allowed for")
         except Refuse:
-            pace.late(moving.proposals, promised_ns - armed_ns)
+            pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
@@ -240,8 +240,7 @@ class Motion:
             raise Refuse("deposed", "another coordinator has taken over")
         moving.decided = True
         await beside(on_state("committed", ""), self._go(moving))
-        now_ns = self._clock.now_ns()
-        pace.released(moving.proposals, now_ns - armed_ns, now_ns - promised_ns)
+        pace.released(self._clock.now_ns() - armed_ns, self._clock.now_ns() - promised_ns)
 
     async def _require_time(self, moving: Moving, late: str) -> None:
         """For what is still to be done, and then for unloading all if that fails. Raises `Refuse`: all are unloaded."""
@@ -287,21 +286,18 @@ class Motion:
         await self._disarm_if_refused(moving, moving.armed)
         self._proposing.pace.armed(declared_ns, took_ns)
 
-    async def _settle(self, moving: Moving, job: Job, step: Move, forward: bool) -> None:
-        """Judge once more, by what is armed. forward: what arming has not taken of its time, the step begins sooner."""
+    async def _judge_frozen(self, moving: Moving, job: Job, step: Move) -> None:
+        """Once more, with the clock mappings that are frozen into what is armed."""
         try:
-            self._proposing.settle(moving, job, step, self._throne.fleet_now_ns() if forward else None)
+            self._proposing.judge(moving, moving.armed, job, step)
         except Refuse:
             await self._disarm(moving)
             raise
 
     async def _commit(self, moving: Moving) -> None:
-        sooner_ns, moving.sooner_ns = moving.sooner_ns, 0
         requests = {
-            member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member), sooner_ns=sooner_ns)
-            for member in moving.proposals
+            member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals
         }
-        moving.t0_fleet_ns -= sooner_ns
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
         promises = await self._members.ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
         await self._disarm_if_refused(moving, promises)

@@ -49,7 +49,6 @@ class LineStart:
 @dataclass(slots=True)
 class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
-    sooner_ns: how much sooner than that it can be promised, to within slip_ns of a whole number of everybody's ticks.
 
     arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
     early_ns: how much before the plan an axis may end that can not go so slowly. held_by: who has it braked inside.
@@ -65,8 +64,6 @@ class Moving:
     line: LineStart | None = None
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
-    sooner_ns: int = 0
-    slip_ns: int = 0
     early_ns: int = 0
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None

@@ -4,23 +4,19 @@ What a member declares of its arming holds on a slow network too. A fleet that h
 known better, and its jobs need not begin as late as the worst case would have them; or they have to begin later, where
 an adapter host has more to do at a time than each of its members thinks. Whoever is late after all costs a second
 arming, with the lead that was declared, and what it took counts from then on.
-
-How quickly members release together is known of them together: eight on one line promise by turns.
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS
 
 KNOWN = 16  # steps from which on what was seen counts
 KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
-SOONER_ROOM = 1.25  # over the slowest release of a step that is brought forward: there is nothing else left to make up
 GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
-TOGETHER = 256  # sets of members that are remembered
 LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again
 
 
@@ -54,7 +50,6 @@ class Pace:
         self._shares: dict[str, _Seen] = {}
         self._releases_ns = _Seen()
         self._goes_ns = _Seen()
-        self._together_ns: dict[frozenset[str], _Seen] = {}
 
     def armed(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
         """Members have been armed: what each has declared, and from the order to its answer."""
@@ -62,16 +57,15 @@ class Pace:
             if declared_ns[member] > 0:
                 self._shares.setdefault(member, _Seen()).add(took / declared_ns[member])
 
-    def released(self, members: Iterable[str], took_ns: int, go_ns: int) -> None:
+    def released(self, took_ns: int, go_ns: int) -> None:
         """To the last answer to `go`: from armed, and from the last promise."""
-        self._add_release(members, took_ns)
+        self._releases_ns.add(took_ns)
         self._goes_ns.add(go_ns)
 
-    def late(self, members: Collection[str], promise_ns: int) -> None:
-        """Promises have taken so long that there was no time left for go. Who takes far longer than others was stopped,
-        and says nothing of the next time."""
-        most_ns = 2 * self.margin_ns(len(members))
-        self._add_release(members, min(promise_ns + self._goes_ns.slowest, most_ns))
+    def late(self, promise_ns: int, members: int) -> None:
+        """Promises of so many members have taken so long that there was no time left for go. Who takes far longer than
+        others was stopped, and says nothing of the next time."""
+        self._releases_ns.add(min(promise_ns + self._goes_ns.slowest, 2 * self.margin_ns(members)))
 
     def late_to_go(self, members: int) -> None:
         """Somebody has not gone in the time that is given for it. A step has failed by that: the next is given more."""
@@ -85,14 +79,6 @@ class Pace:
         seen = self._shares.get(member)
         return 1.0 if seen is None else seen.allow(1.0, known)
 
-    def release_ns(self, members: Collection[str]) -> int | None:
-        """What promise, decision and release need at the least, of just these members, once they are known."""
-        together, count = self._together_ns.get(frozenset(members)), len(members)
-        if together is None or not together.known:
-            return None
-        # They may have been quick when go was slow with others.
-        return max(self._margin_ns(together, count, SOONER_ROOM), self.go_ns(count) + LEAST_MARGIN_NS)
-
     def go_ns(self, members: int) -> int:
         """What decision and release alone are given, of so many members."""
         return round(self._goes_ns.allow(_unknown_ns(members) / 2, room=GO_ROOM))
@@ -103,20 +89,8 @@ class Pace:
             half_ns = _unknown_ns(members) / 2
             declared_ns = half_ns + max(half_ns, self.go_ns(members))
             return round(self._releases_ns.allow(declared_ns, known))
-        return self._margin_ns(self._releases_ns, members)
-
-    def _margin_ns(self, releases_ns: _Seen, members: int, room: float = ROOM) -> int:
         # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(releases_ns.allow(0, room=room) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
-
-    def _add_release(self, members: Iterable[str], took_ns: float) -> None:
-        self._releases_ns.add(took_ns)
-        key = frozenset(members)
-        # Behind all others: whose last release is longest ago is forgotten first.
-        together = self._together_ns[key] = self._together_ns.pop(key, _Seen())
-        together.add(took_ns)
-        if len(self._together_ns) > TOGETHER:
-            del self._together_ns[next(iter(self._together_ns))]
+        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
 
 
 def _unknown_ns(members: int) -> int:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from math import ceil, inf
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -25,7 +24,6 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
-SLIP = 0.01  # of a tick: T0 comes sooner by as many as the members' crystals keep so close together
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 
@@ -106,35 +104,7 @@ class Proposing:
             _require("end", end)
             _require("path", path)
 
-    def settle(self, moving: Moving, job: Job, step: Move, now_ns: int | None) -> None:
-        """Judge what is armed, with the clock mappings that are frozen into it, and say how much sooner it can begin.
-        now_ns: fleet time; None: it begins when it was armed for. Raises `Refuse`."""
-        moving.sooner_ns, moving.slip_ns = (0, 0) if now_ns is None else self._sooner(moving, now_ns)
-        try:
-            self.judge(moving, moving.armed, job, step)
-        except Refuse:
-            if not moving.slip_ns:
-                raise
-            moving.sooner_ns = moving.slip_ns = 0
-            self.judge(moving, moving.armed, job, step)
-
     # Inside
-
-    def _sooner(self, moving: Moving, now_ns: int) -> tuple[int, int]:
-        """What arming was given and has not taken, and how far that is at the most from a whole number of anybody's
-        ticks: by whole ticks nothing of what is armed changes. Nothing, where a member can not."""
-        proposals, needs_ns = moving.proposals.values(), self.pace.release_ns(moving.proposals)
-        if needs_ns is None or not all(each.sooner for each in proposals):
-            return 0, 0
-        spare_ns = max(0, moving.t0_fleet_ns - now_ns - moving.disarm_ns - needs_ns)
-        ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
-        if not ticks_ns:
-            return spare_ns, 0
-        shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
-        tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
-        count = min(spare_ns // tick_ns, SLIP * tick_ns / off_ns if off_ns else inf) // 1
-        # Instants are whole nanoseconds.
-        return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
 
     async def _line(self, wire: Wire, moving: Moving) -> LineStart | None:
         """The line by `wire`, if it leads to members that can wait for it and its driver is there."""
@@ -275,9 +245,7 @@ def _sums(terms: Iterable[Term]) -> tuple[int, int]:
 
 
 def _window(moving: Moving, member: str, terms: list[Term]) -> Window:
-    shift_ns, slip_ns = moving.shift_ns(member), moving.slip_ns
-    if slip_ns and moving.proposals[member].tick_ns:
-        terms = [*terms, Term(name="slip", earliest_ns=-slip_ns, latest_ns=slip_ns)]
+    shift_ns = moving.shift_ns(member)
     if shift_ns:
         terms = [Term(name="line", earliest_ns=shift_ns, latest_ns=shift_ns), *terms]
     line = moving.line

@@ -41,13 +41,8 @@ class Asked:
         return self.job, self.said.get("step", 0)
 
     @property
-    def t0_fleet_ns(self) -> int:
-        """That is promised: sooner than it was armed for."""
-        return self.said["t0_fleet_ns"] - self.said.get("sooner_ns", 0)
-
-    @property
     def promise(self) -> tuple[str, int, int, str, int]:
-        """Job, step, epoch, coordinator and the T0 that it is armed for: what has to be the same for all members."""
+        """Job, step, epoch, coordinator and T0: what has to be the same for all members."""
         said = self.said
         return said["job"], said["step"], said["epoch"], said["coordinator"], said["t0_fleet_ns"]
 

@@ -130,7 +130,7 @@ class Propose(StepRef):
 class Term(Model):
     """One term of a budget: the start lies between T0 + earliest_ns and T0 + latest_ns because of it."""
 
-    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "slip", "line", "input"]
+    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "line", "input"]
     earliest_ns: Int53
     latest_ns: Int53
 
@@ -147,7 +147,6 @@ class Proposal(Reply):
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
     clock_ppm: float = Field(default=100.0, description="How far off the unit's durations may be, guaranteed.")
-    sooner: bool = Field(default=False, description="Whether T0 can come sooner than it was armed for.")
     commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
 
 
@@ -173,18 +172,13 @@ class Armed(Reply):
 
 
 class Commit(StepRef):
-    """Promise to start at T0 if `go` comes.
-
-    t0_fleet_ns: what it is armed for. sooner_ns: T0 is so much sooner, by a whole number of the member's ticks
-    (`tick_ns` of its proposal, if it has any); only for who has said that it can (`sooner`).
-    """
+    """Promise to start at T0 if `go` comes."""
 
     t0_fleet_ns: Int53
-    sooner_ns: Int53 = 0
 
 
 class Go(StepRef):
-    """Every member has promised: begin at T0, the one that was promised.
+    """Every member has promised: begin at T0.
 
     slack_ns: how much later than it has promised a member may begin all the same, because the job allows more than was
     promised; who could only be later still does not begin.

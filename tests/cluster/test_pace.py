@@ -8,18 +8,7 @@ import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.coordinator.pace import (
-    EACH_NS,
-    GO_ROOM,
-    KEPT,
-    KNOWN,
-    LEAST_MARGIN_NS,
-    MARGIN_NS,
-    ROOM,
-    SOONER_ROOM,
-    TOGETHER,
-    Pace,
-)
+from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -81,7 +70,7 @@ def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_l
     for k in range(KNOWN):
         assert pace.share("a") == 1.0 and pace.margin_ns(2) == MARGIN_NS
         pace.armed({"a": 100, "b": 0}, {"a": 10 + k, "b": 5})
-        pace.released("ab", 20 * NS_PER_MS, 10 * NS_PER_MS)
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.share("a") == pytest.approx(ROOM * (10 + KNOWN - 1) / 100)
     assert pace.share("b") == 1.0
     assert pace.go_ns(2) == round(GO_ROOM * 10 * NS_PER_MS)
@@ -93,37 +82,19 @@ def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_l
 def test_how_long_promises_took_that_were_late_counts_from_then_on_within_reason() -> None:
     pace = Pace()
     for _ in range(KNOWN):
-        pace.released("ab", 20 * NS_PER_MS, 10 * NS_PER_MS)
-    pace.late("ab", 25 * NS_PER_MS)
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
+    pace.late(25 * NS_PER_MS, 2)
     given_ns = pace.margin_ns(2)
     assert given_ns == round((ROOM * (25 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
-    pace.late("ab", 60 * NS_PER_S)
+    pace.late(60 * NS_PER_S, 2)
     assert pace.margin_ns(2) < ROOM * 2 * given_ns + 10 * NS_PER_MS
-
-
-def test_how_quickly_members_release_together_is_known_of_just_these() -> None:
-    pace = Pace()
-    for k in range(KNOWN):
-        assert pace.release_ns("ab") is None
-        pace.released("ba", (20 + k) * NS_PER_MS, 10 * NS_PER_MS)
-    slowest_ms = 20 + KNOWN - 1
-    assert pace.release_ns("ab") == round((SOONER_ROOM * slowest_ms + (GO_ROOM - 1) * 10) * NS_PER_MS)
-    assert pace.release_ns("a") is None and pace.release_ns("abc") is None
-    pace.late("ab", 60 * NS_PER_MS)
-    assert pace.release_ns("ab") == round((SOONER_ROOM * (60 + 10) + (GO_ROOM - 1) * 10) * NS_PER_MS)
-    for _ in range(10):
-        pace.late_to_go(2)
-        assert (pace.release_ns("ab") or 0) >= pace.go_ns(2) + LEAST_MARGIN_NS
-    for other in range(TOGETHER):
-        pace.released([f"m{other}"], 1, 1)
-    assert pace.release_ns("ab") is None  # that is long ago
 
 
 @pytest.mark.parametrize("steps", [0, 1, KNOWN])
 def test_go_that_was_too_slow_is_given_more_and_the_lead_has_room_for_it(steps: int) -> None:
     pace = Pace()
     for _ in range(steps):
-        pace.released("ab", 20 * NS_PER_MS, 10 * NS_PER_MS)
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     for _ in range(10):
         given_ns = pace.go_ns(2)
         pace.late_to_go(2)
@@ -136,14 +107,14 @@ def test_many_members_are_given_more_until_they_are_known() -> None:
     pace = Pace()
     assert pace.margin_ns(16) == 16 * EACH_NS > MARGIN_NS and pace.go_ns(16) == 8 * EACH_NS
     for _ in range(KNOWN):
-        pace.released("ab", 20 * NS_PER_MS, 10 * NS_PER_MS)
+        pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.margin_ns(16) == pace.margin_ns(2)
 
 
 def test_who_takes_longer_than_declared_is_given_more_at_once() -> None:
     pace = Pace()
     pace.armed({"a": 100}, {"a": 130})
-    pace.released("ab", 2 * MARGIN_NS, MARGIN_NS)
+    pace.released(2 * MARGIN_NS, MARGIN_NS)
     assert pace.share("a") == pytest.approx(1.3)
     assert pace.margin_ns(2) == 2 * MARGIN_NS and pace.go_ns(2) == MARGIN_NS
     assert pace.share("a", known=False) == pytest.approx(1.3)

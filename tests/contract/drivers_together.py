@@ -121,7 +121,6 @@ class Together(Driver):
             parts=parts,
             edge=first.edge,
             clock_ppm=max(each.clock_ppm for each in every),
-            sooner=all(each.sooner for each in every),
         )
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
@@ -132,8 +131,8 @@ class Together(Driver):
         )
         return {name: max(each.get(name, 0) for each in stages) for name in stages[0]}
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        await at_once(each.verify(sooner_ns) for each in self._members)
+    async def verify(self) -> None:
+        await at_once(each.verify() for each in self._members)
 
     async def go(self, slack_ns: int = 0) -> None:
         await at_once(each.go(slack_ns) for each in self._members)

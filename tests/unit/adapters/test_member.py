@@ -10,7 +10,7 @@ import pytest
 from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
 from adapters.member import Member, Phase, Ticket
 from adapters.settling import Settled
-from orchestrator.clock.base import NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
@@ -18,7 +18,6 @@ from orchestrator.model.messages import Arm, Commit, Disarm, Go
 from orchestrator.model.state import Costs, EventKind
 
 T0_NS = 1 * NS_PER_S
-SOONER_NS = NS_PER_S // 10
 NEXT_T0_NS = 2 * NS_PER_S
 COSTS = Costs(arm_ns=1, disarm_ns=1, stop_ns=1)
 DEAF = DriverFault("no-answer", "go was not answered", "")
@@ -33,21 +32,20 @@ class Scripted:
         self.begun: asyncio.Future[Mapping[str, Span]] = loop.create_future()
         self.rested: asyncio.Future[Outcome] = loop.create_future()
         self.refuses_go: Exception | None = None
-        self.sooner = True
         self.closed = False
 
     def mapping(self) -> None:
         return None
 
     def lower(self, *_: object) -> Lowered:
-        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), sooner=self.sooner)
+        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, ())
 
     async def arm(self, *_: object) -> dict[str, int]:
         self.told.append("arm")
         return {}
 
-    async def verify(self, sooner_ns: int = 0) -> None:
-        self.told.append(f"verify {sooner_ns} ns sooner" if sooner_ns else "verify")
+    async def verify(self) -> None:
+        self.told.append("verify")
 
     async def go(self, slack_ns: int = 0) -> None:
         self.told.append("go")
@@ -112,9 +110,6 @@ class Desk:
         await self.member.commit(Commit(**self._ref(step), t0_fleet_ns=t0_ns))
         await self.member.go(Go(**self._ref(step), t0_fleet_ns=t0_ns))
 
-    async def commit(self, t0_ns: int, sooner_ns: int) -> None:
-        await self.member.commit(Commit(**self._ref(0), t0_fleet_ns=t0_ns, sooner_ns=sooner_ns))
-
     async def later(self, seconds: float = 0.01) -> None:
         await sleep_ns(self.clock, round(seconds * NS_PER_S))
 
@@ -132,38 +127,6 @@ def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
         await body(Desk(clock))
 
     run_virtual(main)
-
-
-def test_a_promise_may_be_for_sooner_than_it_was_armed_for_and_ends_when_no_go_comes_by_then() -> None:
-    async def body(desk: Desk) -> None:
-        await desk.arm(0, T0_NS)
-        await desk.commit(T0_NS, SOONER_NS)
-        assert desk.driver.told == ["arm", f"verify {SOONER_NS} ns sooner"]
-        with pytest.raises(CannotDo) as caught:  # the T0 of before was not promised
-            await desk.member.go(Go(**desk._ref(0), t0_fleet_ns=T0_NS))
-        assert caught.value.refusal.code == "not-armed"
-        await sleep_until_ns(desk.clock, T0_NS - SOONER_NS - 1)
-        assert desk.member.ticket is not None and desk.member.ticket.phase is Phase.COMMITTED
-        await desk.later()
-        assert desk.member.ticket is None and desk.said == ["disarmed"] and desk.clock.now_ns() < T0_NS
-
-    run(body)
-
-
-@pytest.mark.parametrize(
-    ("can", "sooner_ns", "code"),
-    [(False, NS_PER_S // 10, "not-sooner"), (True, -1, "not-sooner"), (True, T0_NS, "late")],
-)
-def test_what_can_not_be_promised_sooner_is_not(can: bool, sooner_ns: int, code: str) -> None:
-    async def body(desk: Desk) -> None:
-        desk.driver.sooner = can
-        await desk.arm(0, T0_NS)
-        with pytest.raises(CannotDo) as caught:
-            await desk.commit(T0_NS, sooner_ns)
-        assert caught.value.refusal.code == code and desk.driver.told == ["arm"]
-        await desk.commit(T0_NS, 0)  # what it was armed for it still promises
-
-    run(body)
 
 
 def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:
