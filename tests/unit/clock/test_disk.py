@@ -1,0 +1,44 @@
+"""Doing something while a disk is told of it."""
+
+import asyncio
+
+import pytest
+
+from orchestrator.clock.disk import beside
+
+
+def test_what_is_told_is_on_disk_before_anything_comes_of_what_was_done() -> None:
+    said: list[str] = []
+
+    async def tell(error: Exception | None = None) -> None:
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        said.append("told")
+        if error is not None:
+            raise error
+
+    async def do(error: Exception | None = None) -> str:
+        said.append("began")
+        await asyncio.sleep(0)
+        if error is not None:
+            raise error
+        return "done"
+
+    async def main() -> None:
+        assert await beside(tell(), do()) == "done"
+        assert said == ["began", "told"]
+        with pytest.raises(KeyError):
+            await beside(tell(), do(KeyError("done")))
+        assert said == ["began", "told"] * 2
+        with pytest.raises(OSError, match="disk is full"):
+            await beside(tell(OSError("disk is full")), do())
+        with pytest.raises(OSError, match="disk is full"):
+            await beside(tell(OSError("disk is full")), do(KeyError("done")))
+        doing = asyncio.ensure_future(beside(tell(), asyncio.sleep(9)))
+        await asyncio.sleep(0)
+        doing.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await doing
+        assert said[-1] == "told" and len(said) == 9
+
+    asyncio.run(main())
