@@ -279,7 +279,8 @@ class MotionControl:
             if velocity and self.limit_active(axis, velocity > 0, at):
                 self.stop(axis, at, FORWARD_CODE if velocity > 0 else REVERSE_CODE)
                 self.on_limit()
-            elif axis.profile is not None:
+            elif axis.profile is not None and axis.watch > at:
+                # What it comes to in this very sample is met first: from behind it, it would be looked for in vain.
                 self.schedule(axis, at)
 
     def latch(self, axis: Axis, now: int) -> None:

@@ -154,3 +154,17 @@ def test_the_record_tells_start_slowing_and_end_in_order() -> None:
     start, slowing, end = entries[:3]
     assert start["start_ns"] < slowing["slowing_ns"] < end["end_ns"] < NS_PER_S
     assert slowing["axis"] == "X" and slowing["start_ns"] == start["start_ns"]
+
+
+@pytest.mark.parametrize("command", ["HM", "FE", "FI"])
+def test_a_limit_switch_of_one_axis_hides_no_edge_from_another_that_comes_to_it_just_then(command: str) -> None:
+    ends: set[float] = set()
+    for sample in range(60):
+        desk = Desk(home_edge={"Y": -30}, index_every={"Y": 40})
+        desk.ask("SHXY", "SPY=2000", "ACY=200000", "DCY=200000", "JGY=-2000", f"{command}Y", "BGY")
+        desk.wait((sample + 0.5) / 1024)
+        desk.unit.set_limit("X", "both")
+        desk.wait(5.0)
+        assert desk.unit.at_rest(), f"pressed in sample {sample}"
+        ends.add(desk.unit.motions[0].end_counts or 0.0)
+    assert len(ends) == 1
