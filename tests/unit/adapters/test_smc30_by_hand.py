@@ -1,11 +1,12 @@
 """SMC30 moved by hand and homed, judged by the simulator's truth."""
 
 import asyncio
+from contextlib import suppress
 
 import pytest
 from unit.adapters.test_smc30_bench import World, run
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import CannotDo, DriverFault, JogMove
 from orchestrator.clock.base import NS_PER_MS
 
 
@@ -227,3 +228,20 @@ def test_outputs_inputs_and_raw() -> None:
         assert await driver.raw("F") == "B"
 
     run(main, (4,))
+
+
+@pytest.mark.parametrize("after_ms", range(0, 200, 10))
+def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it(after_ms: int) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        searching = asyncio.ensure_future(driver.home(["x"], lambda _: None))
+        await world.sleep(after_ms)
+        await world.power_cycle(unit, 20)
+        on_ns = world.clock.now_ns()
+        with suppress(CannotDo, DriverFault):
+            assert await searching
+        await world.sleep(3000)
+        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+
+    run(main)
