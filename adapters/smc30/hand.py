@@ -116,7 +116,7 @@ class Hand:
             self._require_free()
             await unit.ready()
             await unit.load(homing_program(self._axis), since)
-            await self._require_not_restarted()
+            await unit.require_not_restarted("told how to find its reference", "home it again")
             await unit.run(since, "home")
         try:
             while (await unit.status()).busy:
@@ -136,16 +136,6 @@ class Hand:
         unit.limit = "none"
         found(self._name)
         return {}
-
-    async def _require_not_restarted(self) -> None:
-        """Raises `CannotDo`: who was switched off and on takes a program all the same, and does not know yet how fast
-        it may go."""
-        try:
-            if await self._unit.holds_sentinel():
-                return
-        except Busy:
-            raise CannotDo("moving", f"axis {self._name} executes a program", "wait, or stop it") from None
-        raise CannotDo("restarted", f"axis {self._name} was switched off and on just now", "home it again")
 
     async def _why_not(self, since: int) -> str:
         """What the unit says of a search that has ended; empty: it has found it."""

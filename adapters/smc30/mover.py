@@ -97,9 +97,7 @@ class Mover:
         if lowered.wait is None:
             return loaded_ns
         # A start by the host is verified before it is promised; here the program goes from now on.
-        if not await unit.holds_sentinel():
-            text = f"{unit.session.name} was restarted while it was armed"
-            raise CannotDo("not-loaded", text, "arm again; its axis has to be homed before")
+        await unit.require_not_restarted("armed", "arm again; its axis has to be homed before")
         move.running = True
         await unit.run(since, "step")
         if not (await unit.status()).busy:

@@ -105,6 +105,17 @@ class UnitState:
         """Whether the volatile memory is the one that was loaded. Raises `Busy`."""
         return int(_group(await self.session.ask(f"VR{SENTINEL_REGISTER}", REGISTER))) == SENTINEL
 
+    async def require_not_restarted(self, while_it_was: str, remedy: str) -> None:
+        """Raises `CannotDo` for one that was switched off and on: it takes a program all the same, and knows neither
+        where it stands nor how fast it may go."""
+        name = self.session.name
+        try:
+            held = await self.holds_sentinel()
+        except Busy:
+            raise CannotDo("moving", f"{name} executes a program", "wait, or stop it") from None
+        if not held:
+            raise CannotDo("not-loaded", f"{name} was restarted while it was {while_it_was}", remedy)
+
     async def leave_programming(self) -> None:
         """PX, if an upload was broken off; for holders of `loading`."""
         if self.programming:
