@@ -93,6 +93,7 @@ class Hand:
             wanted = _lowered(self._name, move, bounds(self._axis), await unit.ready(), since)
             await unit.load(wanted.program, since)
             self._require_free()
+            await unit.require_not_restarted("told how to be jogged", "jog it again; its counter has begun anew")
             self.run, self._wanted, self.told_ns = wanted, move, None
             answer = await unit.run(since, "jog")
             self.told_ns = answer.at_ns

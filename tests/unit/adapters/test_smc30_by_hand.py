@@ -245,3 +245,22 @@ def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it
         assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
 
     run(main)
+
+
+@pytest.mark.parametrize("after_ms", range(0, 200, 10))
+def test_a_unit_that_is_restarted_while_a_jog_is_prepared_does_not_begin_it(after_ms: int) -> None:
+    """Its counter is 0 again: the end of the way would lie on the other side."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.one
+        jogging = asyncio.ensure_future(driver.jog("x", JogMove(-1000.0, 25_000.0, None)))
+        await world.sleep(after_ms)
+        await world.power_cycle(unit, 20)
+        on_ns = world.clock.now_ns()
+        with suppress(CannotDo, DriverFault):
+            await jogging
+        await world.sleep(1000)
+        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+
+    run(main)
