@@ -35,6 +35,7 @@ GATE_TICKS = 40
 GATE_STEP_TICKS = 4
 # At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
 GATE_SEEN_TICKS = GATE_STEP_TICKS + 6
+GATE_ROUND_TICKS = GATE_STEP_TICKS + 2  # as a rule it has by then: the wait, the jump, and the line behind it
 START_ROOM_TICKS = 9  # from the gate to the wait there are eight commands
 DOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump

@@ -11,8 +11,8 @@ from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import (
     DOG_THREAD,
     EDGE_THREAD,
+    GATE_ROUND_TICKS,
     GATE_SEEN_TICKS,
-    GATE_STEP_TICKS,
     GATE_TICKS,
     STEP_THREAD,
     entry,
@@ -171,7 +171,7 @@ class Start:
         if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - STILL_TO_COME:
             raise CannotDo("late", "it is too late to release the start", "give more lead time")
         opened = await session.ask("XGO=1", 0)
-        await sleep_until_ns(self._clock, opened.sent_ns + round(GATE_STEP_TICKS * loaded.mapping.tick_ns))
+        await sleep_until_ns(self._clock, opened.sent_ns + round(GATE_ROUND_TICKS * loaded.mapping.tick_ns))
         while True:
             (passed, late, running), _ = await session.numbers("XOK", "XLATE", f"_HX{STEP_THREAD}")
             if late:
