@@ -142,13 +142,15 @@ class UnitState:
             raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
 
     async def set_going(self, command: str, axis: str, motor: int, since: int) -> None:
-        """Send a line that moves one motor, unless a stop has come since `stops_given` was `since`. Raises
-        `CannotDo`; then nothing was sent."""
+        """Send a line that moves one motor, unless a stop has come since `stops_given` was `since`, or the unit has
+        begun anew: its position and its speeds are others then. Raises `CannotDo`; then nothing was sent."""
         sent = False
 
         def still() -> None:
             nonlocal sent
             self.require_no_stop(axis, motor, since)
+            if self.session.restarted:
+                raise CannotDo("not-started", f"the unit was restarted before axis {axis} began", "home it first")
             sent = True
 
         try:

@@ -90,12 +90,13 @@ class Hand:
                         "not-stopping", f"axis {self._name} does not stop", "stop it at the unit", self._name
                     )
                 await unit.stopped()
-            wanted = _lowered(self._name, move, bounds(self._axis), await unit.ready(), since)
-            await unit.load(wanted.program, since)
-            self._require_free()
-            await unit.require_not_restarted("told how to be jogged", "jog it again; its counter has begun anew")
-            self.run, self._wanted, self.told_ns = wanted, move, None
-            answer = await unit.run(since, "jog")
+            async with unit.in_one_go():
+                wanted = _lowered(self._name, move, bounds(self._axis), await unit.ready(), since)
+                await unit.load(wanted.program, since)
+                self._require_free()
+                await unit.require_not_restarted("told how to be jogged", "jog it again; its counter has begun anew")
+                self.run, self._wanted, self.told_ns = wanted, move, None
+                answer = await unit.run(since, "jog")
             self.told_ns = answer.at_ns
             self.began_ns = answer.at_ns + len(wanted.program) * self._options.line_us * NS_PER_US
             unit.limit = "none"
@@ -115,10 +116,11 @@ class Hand:
         async with unit.loading:
             await unit.stopped()
             self._require_free()
-            await unit.ready()
-            await unit.load(homing_program(self._axis), since)
-            await unit.require_not_restarted("told how to find its reference", "home it again")
-            await unit.run(since, "home")
+            async with unit.in_one_go():
+                await unit.ready()
+                await unit.load(homing_program(self._axis), since)
+                await unit.require_not_restarted("told how to find its reference", "home it again")
+                await unit.run(since, "home")
         try:
             while (await unit.status()).busy:
                 await sleep_ns(self._clock, _LOOK_NS)

@@ -79,8 +79,7 @@ class Mover:
         began_ns, since = self._clock.now_ns(), unit.session.stops
         async with unit.loading:
             await unit.stopped()
-            # In one go: between any two exchanges every other unit of the line could have its turn.
-            async with unit.session.line.together():
+            async with unit.in_one_go():
                 loaded_ns = await self._load(move, since)
         unit.session.require_no_stop(since)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}

@@ -3,7 +3,7 @@
 import asyncio
 import re
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -156,6 +156,12 @@ class UnitState:
             await sleep_ns(self.clock, _LOOK_NS)
 
     # Programs
+
+    def in_one_go(self) -> AbstractAsyncContextManager[None]:
+        """A program is loaded and begun so. Otherwise every other unit of the line could have its turn between two
+        lines, and this one be switched off and on meanwhile, unnoticed: it is not in Programming Mode then, and carries
+        out at once what was to become a part of its program."""
+        return self.session.line.together()
 
     async def load(self, lines: Sequence[str], since: int) -> None:
         """Have `lines` in working memory, and see to it that they are. Raises `CannotDo`."""

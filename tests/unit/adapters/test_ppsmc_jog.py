@@ -189,3 +189,29 @@ def test_an_axis_gentler_than_the_slowest_ramp_jogs_at_a_start_speed() -> None:
         await bench.driver.stop(False)
 
     run(case, config=controller(axis=axis))
+
+
+@pytest.mark.parametrize("cycled", [False, True])
+def test_a_unit_that_was_restarted_since_the_last_jog_begins_none(cycled: bool) -> None:
+    """It has forgotten the speeds that were loaded, and calls the place where it stands 0."""
+
+    async def case(bench: Bench) -> None:
+        await bench.ready()
+        await bench.driver.jog("x", JogMove(8000.0, 40_000.0, 3000))
+        await bench.rest()
+        if cycled:
+            bench.unit.set_power(False)
+            bench.unit.set_power(True)
+        before = len(bench.moved())
+        jog = bench.driver.jog("x", JogMove(-8000.0, 40_000.0, -1000))
+        if cycled:
+            with pytest.raises(CannotDo) as caught:
+                await jog
+            assert caught.value.refusal.code == "not-started"
+            assert len(bench.moved()) == before and not bench.moving
+        else:
+            await jog
+            await bench.rest()
+            assert bench.steps("x") == -1000
+
+    run(case, config=controller(serial=True))

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -123,6 +124,38 @@ def test_seven_that_jog_are_stopped_together() -> None:
         assert world.clock.now_ns() - began_ns < 220 * NS_PER_MS
         for driver in world.drivers.values():
             assert not (await driver.poll()).axes["x"].lost
+
+    run(main, ALL)
+
+
+@pytest.mark.parametrize("act", ["jog", "home"])
+@pytest.mark.parametrize("after_ms", range(0, 450, 15))
+def test_a_unit_of_a_busy_line_that_is_restarted_before_it_moves_by_hand_does_not_move(act: str, after_ms: int) -> None:
+    """Not one line of its program is carried out instead of being kept: it is gone while the others have their turns."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        driver, unit = world.drivers[3], world.units[3]
+
+        async def polled(other: SmcDriver) -> None:
+            while True:
+                await other.poll()
+
+        loop = asyncio.get_running_loop()
+        others = [loop.create_task(polled(each)) for address, each in world.drivers.items() if address != 3]
+        if act == "jog":
+            doing: asyncio.Future[object] = asyncio.ensure_future(driver.jog("x", JogMove(-1000.0, 25_000.0, None)))
+        else:
+            doing = asyncio.ensure_future(driver.home(["x"], lambda _: None))
+        await world.sleep(after_ms)
+        await world.power_cycle(unit, 20)
+        on_ns = world.clock.now_ns()
+        with suppress(CannotDo, DriverFault):
+            await doing
+        await world.sleep(2000)
+        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+        for other in others:
+            other.cancel()
 
     run(main, ALL)
 
