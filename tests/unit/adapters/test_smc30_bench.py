@@ -1,12 +1,14 @@
 """Simulated SMC30 on one wire in virtual time with a driver before each, as the other tests of the driver use it."""
 
-from collections.abc import Awaitable, Callable, Sequence
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from adapters.contract import Outcome, Setup, Span
+from adapters.contract import CannotDo, DriverFault, Outcome, Setup, Span
 from adapters.firing import LoopFirer
 from adapters.smc30 import MAKE
 from adapters.smc30.driver import SmcDriver
@@ -18,7 +20,7 @@ from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, LineWait, StartWay
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Branch, SimulatedController, Timing, build_line
+from sim.core.controller import Branch, Motion, SimulatedController, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.smc30 import SMC30
 
@@ -105,6 +107,20 @@ class World:
         unit.set_power(False)
         await self.sleep(off_ms)
         unit.set_power(True)
+
+    async def begun_by_restarted(
+        self, unit: SimulatedController, doing: Coroutine[Any, Any, object], after_ms: float, watch_ms: float
+    ) -> list[Motion]:
+        """The unit is switched off and on for a moment while it is told to do something, whatever becomes of that:
+        the motions that it begins from then on."""
+        told = asyncio.ensure_future(doing)
+        await self.sleep(after_ms)
+        await self.power_cycle(unit, 20)
+        on_ns = self.clock.now_ns()
+        with suppress(CannotDo, DriverFault):
+            await told
+        await self.sleep(watch_ms)
+        return [motion for motion in unit.motions if motion.start_ns >= on_ns]
 
     async def typed(self, data: bytes, ms: float = 60) -> None:
         """What somebody else says on the line before the drivers are there."""

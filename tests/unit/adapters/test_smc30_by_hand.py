@@ -1,12 +1,11 @@
 """SMC30 moved by hand and homed, judged by the simulator's truth."""
 
 import asyncio
-from contextlib import suppress
 
 import pytest
 from unit.adapters.test_smc30_bench import World, run
 
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import CannotDo, JogMove
 from orchestrator.clock.base import NS_PER_MS
 
 
@@ -235,14 +234,11 @@ def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        searching = asyncio.ensure_future(driver.home(["x"], lambda _: None))
-        await world.sleep(after_ms)
-        await world.power_cycle(unit, 20)
-        on_ns = world.clock.now_ns()
-        with suppress(CannotDo, DriverFault):
-            assert await searching
-        await world.sleep(3000)
-        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+
+        async def search() -> None:
+            assert await driver.home(["x"], lambda _: None)
+
+        assert not await world.begun_by_restarted(unit, search(), after_ms, 3000)
 
     run(main)
 
@@ -254,13 +250,7 @@ def test_a_unit_that_is_restarted_while_a_jog_is_prepared_does_not_begin_it(afte
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        jogging = asyncio.ensure_future(driver.jog("x", JogMove(-1000.0, 25_000.0, None)))
-        await world.sleep(after_ms)
-        await world.power_cycle(unit, 20)
-        on_ns = world.clock.now_ns()
-        with suppress(CannotDo, DriverFault):
-            await jogging
-        await world.sleep(1000)
-        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+        jogging = driver.jog("x", JogMove(-1000.0, 25_000.0, None))
+        assert not await world.begun_by_restarted(unit, jogging, after_ms, 1000)
 
     run(main)

@@ -1,9 +1,9 @@
 """Seven SMC30 of one bus in one step, stopped at any moment of it: one of them, or all."""
 
 import asyncio
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Coroutine, Mapping
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from unit.adapters.test_smc30_bench import HOST, World, run, wait
@@ -144,16 +144,10 @@ def test_a_unit_of_a_busy_line_that_is_restarted_before_it_moves_by_hand_does_no
         loop = asyncio.get_running_loop()
         others = [loop.create_task(polled(each)) for address, each in world.drivers.items() if address != 3]
         if act == "jog":
-            doing: asyncio.Future[object] = asyncio.ensure_future(driver.jog("x", JogMove(-1000.0, 25_000.0, None)))
+            doing: Coroutine[Any, Any, object] = driver.jog("x", JogMove(-1000.0, 25_000.0, None))
         else:
-            doing = asyncio.ensure_future(driver.home(["x"], lambda _: None))
-        await world.sleep(after_ms)
-        await world.power_cycle(unit, 20)
-        on_ns = world.clock.now_ns()
-        with suppress(CannotDo, DriverFault):
-            await doing
-        await world.sleep(2000)
-        assert not [motion for motion in unit.motions if motion.start_ns >= on_ns]
+            doing = driver.home(["x"], lambda _: None)
+        assert not await world.begun_by_restarted(unit, doing, after_ms, 2000)
         for other in others:
             other.cancel()
 
