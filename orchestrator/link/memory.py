@@ -9,16 +9,23 @@ from collections import deque
 from collections.abc import Callable
 from contextvars import Context
 from dataclasses import dataclass, field
+from functools import partial
 from random import Random
 from typing import Protocol
 
 from orchestrator.clock.base import sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import LinkClosed, LinkRefused, Received
+from orchestrator.link.supply import NEVER_NS, Supply
+
+PIECE_CHARACTERS = 62  # of a serial line that are received at a time, as many as a USB adapter's packet holds
 
 
 class FarConnection(Protocol):
     """The controller's end of an open link."""
+
+    @property
+    def supply(self) -> Supply: ...
 
     def receive(self, data: bytes) -> None: ...
 
@@ -62,6 +69,11 @@ def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
 def can_wire(hold_ns: int = 0) -> WireModel:
     """From a program to the CAN controller of its computer, and back; the bus itself is at the far end."""
     return WireModel(latency_ns=20_000, jitter_ns=40_000, tail_chance=0.0005, tail_ns=1_000_000, hold_ns=hold_ns)
+
+
+def in_pieces(data: bytes) -> list[bytes]:
+    """What a serial line hands over at a time."""
+    return [data[begin : begin + PIECE_CHARACTERS] for begin in range(0, len(data), PIECE_CHARACTERS)]
 
 
 @dataclass(slots=True)
@@ -150,6 +162,7 @@ class MemoryLink:
         self._waiting: asyncio.Future[None] | None = None
         self._out_free_ns = 0
         self._in_free_ns = 0
+        self._said_ns = 0
         self._last_far_ns = 0
         self._last_near_ns = 0
 
@@ -190,23 +203,38 @@ class MemoryLink:
 
     def _arrive_far(self, data: bytes) -> None:
         far = self._far
-        if not self._wire.cut and far is not None:
-            self._wire.run_far(lambda: far.receive(data))
+        if self._wire.cut or far is None:
+            return
+        heard = far.supply.heard(data, self._wire.clock.now_ns(), self._wire.model.char_ns)
+        if heard:
+            self._wire.run_far(lambda: far.receive(heard))
 
     def _from_far(self, data: bytes) -> None:
         wire, now_ns = self._wire, self._wire.clock.now_ns()
         if wire.to_near is not None:
             data = wire.to_near(data)
-        self._in_free_ns = max(self._in_free_ns, now_ns) + len(data) * wire.model.char_ns
-        arrival_ns = self._in_free_ns + wire.delay_ns()
+        char_ns = wire.model.char_ns
+        delay_ns = wire.delay_ns()
         if wire.model.hold_ns:
-            arrival_ns += wire.draw.randrange(wire.model.hold_ns + 1)
-        self._last_near_ns = max(arrival_ns, self._last_near_ns)
-        wire.later(self._last_near_ns, lambda: self._arrive_near(data))
+            delay_ns += wire.draw.randrange(wire.model.hold_ns + 1)
+        lost_ns = NEVER_NS if self._far is None else self._far.supply.lost_ns
+        if lost_ns >= self._said_ns:
+            # Of what was said before, nothing is still to be sent, and little on its way.
+            self._in_free_ns = now_ns
+            self._last_near_ns = min(self._last_near_ns, lost_ns + PIECE_CHARACTERS * char_ns + delay_ns)
+        self._said_ns = now_ns
+        for piece in in_pieces(data) if char_ns else (data,):
+            ends_ns = self._in_free_ns = max(self._in_free_ns, now_ns) + len(piece) * char_ns
+            self._last_near_ns = max(ends_ns + delay_ns, self._last_near_ns)
+            wire.later(self._last_near_ns, partial(self._arrive_near, piece, now_ns, ends_ns))
 
-    def _arrive_near(self, data: bytes) -> None:
+    def _arrive_near(self, data: bytes, said_ns: int, ends_ns: int) -> None:
         if self._wire.cut or not self._open:
             return
+        if self._far is not None:
+            data = self._far.supply.left(data, said_ns, ends_ns, self._wire.model.char_ns)
+            if not data:
+                return
         at_ns = self._wire.clock.now_ns()
         self._received.append(Received(data, at_ns))
         self._wake()

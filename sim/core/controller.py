@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 from orchestrator.clock.base import Clock
+from orchestrator.link.supply import Supply
 from sim.core.oscillator import Oscillator
 
 Send = Callable[[bytes], None]
@@ -52,6 +53,11 @@ class Motion:
 
 class Connection(Protocol):
     """One open connection to one port of the controller."""
+
+    @property
+    def supply(self) -> Supply:
+        """Of whoever this port belongs to: power that is lost cuts off what it says. Without, if it hangs up then."""
+        ...
 
     def receive(self, data: bytes) -> None:
         """`data` has arrived, now."""

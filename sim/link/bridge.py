@@ -57,9 +57,10 @@ class BridgeServer:
 
     def __init__(self, controller: Port, clock: Clock, baud: int, bits: int) -> None:
         self._controller = controller
-        char_ns = bits * NS_PER_S // baud
-        self._in = PacedLine(clock, char_ns, self._arrive)
-        self._out = PacedLine(clock, char_ns, self._leave)
+        self._clock = clock
+        self._char_ns = bits * NS_PER_S // baud
+        self._in = PacedLine(clock, self._char_ns, self._arrive)
+        self._out = PacedLine(clock, self._char_ns, self._leave)
         self._far: Connection | None = None
         self._held_up = False
         self._server: asyncio.Server | None = None
@@ -79,8 +80,10 @@ class BridgeServer:
         return {"place": f"tcp {host}:{port}", "kind": "tcp", "host": host, "port": port}
 
     def reconnect(self) -> None:
-        """A wire is still plugged in when the controller comes back from a power cycle."""
-        if self._far is None:
+        """A wire is still plugged in when the controller comes back from a power cycle, without what it was saying."""
+        if self._far is not None:
+            self._out.fell_silent(self._far.supply.lost_ns)
+        else:
             with contextlib.suppress(PortRefused):
                 self._far = self._controller.connect(PORT, self._out.put, self._hung_up)
 
@@ -110,7 +113,9 @@ class BridgeServer:
             self._hold_up(False)
         self.reconnect()
         if self._far is not None:
-            self._far.receive(data)
+            heard = self._far.supply.heard(data, self._clock.now_ns(), self._char_ns)
+            if heard:
+                self._far.receive(heard)
 
     def _leave(self, data: bytes) -> None:
         for client in list(self.clients):
@@ -118,6 +123,7 @@ class BridgeServer:
 
     def _hung_up(self) -> None:
         self._far = None
+        self._out.fell_silent(self._clock.now_ns())
 
 
 async def listen_bridge(controller: Port, clock: Clock, host: str, port: int, baud: int, bits: int) -> BridgeServer:

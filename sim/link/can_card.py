@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode
 from orchestrator.link.can_bus import PASSIVE_FROM, MemoryCanBus
+from orchestrator.link.supply import Supply
 from sim.core.controller import Connection, PortRefused, Send
 
 PORT = "can"
@@ -21,7 +22,9 @@ _NOW_ACTIVE = 0x40
 
 
 class CanCard:
-    """One open way from the computer to the bus; fulfils `Connection`."""
+    """One open way from the computer to the bus; fulfils `Connection`. The computer has power."""
+
+    supply = Supply()
 
     def __init__(self, bus: MemoryCanBus, send: Callable[[bytes], None]) -> None:
         self._bus = bus

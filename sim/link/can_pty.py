@@ -9,6 +9,7 @@ from pathlib import Path
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame
 from orchestrator.link.can_bus import CanNode, MemoryCanBus
+from orchestrator.link.supply import Supply
 from sim.core.controller import Connection, PortRefused, Send
 from sim.link.can_card import RESTART_NS, CanSegment
 from sim.link.pty import PORT, PtyServer
@@ -25,7 +26,9 @@ _CHARACTER_BITS = 10
 
 
 class _Adapter:
-    """One client of the adapter. It is a node of the bus while its channel is open."""
+    """One client of the adapter. It is a node of the bus while its channel is open, and has its power from the host."""
+
+    supply = Supply()
 
     def __init__(self, bus: MemoryCanBus, clock: Clock, send: Send) -> None:
         self._bus = bus

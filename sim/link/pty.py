@@ -28,10 +28,11 @@ class PtyServer:
 
     def __init__(self, controller: Port, clock: Clock, link: Path, baud: int, bits: int) -> None:
         self._controller = controller
+        self._clock = clock
         self._link = link
-        char_ns = bits * NS_PER_S // baud
-        self._in = PacedLine(clock, char_ns, self._arrive)
-        self._out = PacedLine(clock, char_ns, self._leave)
+        self._char_ns = bits * NS_PER_S // baud
+        self._in = PacedLine(clock, self._char_ns, self._arrive)
+        self._out = PacedLine(clock, self._char_ns, self._leave)
         self._far: Connection | None = controller.connect(PORT, self._out.put, self._hung_up)
         self._loop = asyncio.get_running_loop()
         self._reading = False
@@ -63,8 +64,10 @@ class PtyServer:
         os.close(self._slave)
 
     def reconnect(self) -> None:
-        """A wire is still plugged in when the controller comes back from a power cycle."""
-        if self._far is None:
+        """A wire is still plugged in when the controller comes back from a power cycle, without what it was saying."""
+        if self._far is not None:
+            self._out.fell_silent(self._far.supply.lost_ns)
+        else:
             with contextlib.suppress(PortRefused):
                 self._far = self._controller.connect(PORT, self._out.put, self._hung_up)
 
@@ -96,7 +99,9 @@ class PtyServer:
             self._read_on()
         self.reconnect()
         if self._far is not None:
-            self._far.receive(data)
+            heard = self._far.supply.heard(data, self._clock.now_ns(), self._char_ns)
+            if heard:
+                self._far.receive(heard)
 
     # Out
 
@@ -107,3 +112,4 @@ class PtyServer:
 
     def _hung_up(self) -> None:
         self._far = None
+        self._out.fell_silent(self._clock.now_ns())

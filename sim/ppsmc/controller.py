@@ -4,6 +4,7 @@ import random
 from collections.abc import Callable, Sequence
 
 from orchestrator.clock.base import NS_PER_S, Clock, Timer
+from orchestrator.link.supply import Supply
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
@@ -35,6 +36,7 @@ class SmcController:
         self.unit = Unit(self.machine, options)
         self._ports: list[Port] = []
         self._on = True
+        self.supply = Supply()
         self._boot: Timer | None = None
         self._deaf = False
         """Reset or restarting: nobody listens."""
@@ -124,6 +126,7 @@ class SmcController:
         if on == self._on:
             return
         self._on = on
+        self.supply.switched(on, self.time.clock.now_ns())
         if self._boot is not None:
             self._boot.cancel()
             self._boot = None

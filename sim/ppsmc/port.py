@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from orchestrator.clock.base import Timer
+from orchestrator.link.supply import Supply
 from sim.core.controller import Send
 from sim.core.devicetime import DeviceTime
 from sim.ppsmc.line import CommandLine, LineReader
@@ -15,6 +16,9 @@ class Firmware(Protocol):
 
     @property
     def time(self) -> DeviceTime: ...
+
+    @property
+    def supply(self) -> Supply: ...
 
     @property
     def listening(self) -> bool:
@@ -69,6 +73,10 @@ class Port:
     @property
     def serial(self) -> bool:
         return self._serial
+
+    @property
+    def supply(self) -> Supply:
+        return self._firmware.supply
 
     @property
     def open(self) -> bool:

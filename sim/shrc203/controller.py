@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, Timer
+from orchestrator.link.supply import Supply
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
@@ -28,6 +29,7 @@ class Port:
         self._send = send
         self._open = True
         self.reader = reader
+        self.supply = controller.supply
 
     def receive(self, data: bytes) -> None:
         if self._open:
@@ -76,6 +78,7 @@ class Shrc203Controller:
         self._busy_until_ns = 0
         self._said_until_ns = 0
         self._on = True
+        self.supply = Supply()
         self._boot: Timer | None = None
         self._emissions: deque[Timer] = deque()
         self._decoding: deque[Timer] = deque()
@@ -187,6 +190,7 @@ class Shrc203Controller:
         if on == self._on:
             return
         self._on = on
+        self.supply.switched(on, self._clock.now_ns())
         if self._boot is not None:
             self._boot.cancel()
             self._boot = None

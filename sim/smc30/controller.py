@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S, Clock, Timer
+from orchestrator.link.supply import Supply
 from sim.core.controller import LimitSwitch, Motion, PortRefused, Send, Timing
 from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
@@ -66,6 +67,7 @@ class Station:
         self._reader = StringReader(options.address, options.checksum, options.line_limit, bus.options.parity)
         self._pending: deque[_Pending] = deque()
         self._busy_until_ns = 0
+        self._supply = Supply()
         self.record = place.record
         time = DeviceTime(clock, place.oscillator)
         poll_phase = self._generator.random() if options.input_poll_ms else 0.0
@@ -79,7 +81,7 @@ class Station:
         """Bytes on the line; a unit without power hears nothing."""
         if not self.unit.on:
             return
-        for received in self._reader.feed(data):
+        for received in self._reader.feed(self._supply.heard(data, self._clock.now_ns(), self._bus.character_ns)):
             delay_ns = self._timing.decode_ns
             if self._timing.spread_ns:
                 delay_ns += self._generator.randint(0, self._timing.spread_ns)
@@ -103,6 +105,7 @@ class Station:
         if on == self.unit.on:
             return
         if on:
+            self._supply.switched(on, self._clock.now_ns())
             self.unit.power_up()
             return
         for pending in self._pending:
@@ -111,6 +114,7 @@ class Station:
         self._busy_until_ns = 0
         self._reader.clear()
         self.unit.power_down()
+        self._bus.fell_silent(self)
 
 
 class Port:
@@ -119,6 +123,7 @@ class Port:
     def __init__(self, bus: "Smc30Controller", send: Send) -> None:
         self._bus = bus
         self.send = send
+        self.supply = Supply()
 
     def receive(self, data: bytes) -> None:
         self._bus.received(self, data)
@@ -141,7 +146,9 @@ class Smc30Controller:
         self._arrived: deque[bytes] = deque()
         """Bytes being heard, and behind them those that came meanwhile."""
         self._last: _Sent | None = None
-        self._character_ns = _BITS_PER_CHARACTER * NS_PER_S // options.baud
+        self._spoke: Station | None = None
+        """Who has begun to send last."""
+        self.character_ns = _BITS_PER_CHARACTER * NS_PER_S // options.baud
         self._numbers_by_place = len(places) > 1
         self._listeners: list[Callable[[int, bool], None]] = []
         self._stations = [Station(clock, place, self) for place in places]
@@ -195,18 +202,24 @@ class Smc30Controller:
         """
         if len(self._stations) > 1:
             data = self._mixed(station, data)
+        self._spoke = station
         if self._port is not None:
             self._port.send(odd_parity(data) if self.options.parity == "wire" else data)
 
+    def fell_silent(self, station: Station) -> None:
+        """A unit has lost its power, perhaps while it was sending."""
+        if self._port is not None and self._spoke is station:
+            self._port.supply.switched(False, self._clock.now_ns())
+
     def _mixed(self, station: Station, data: bytes) -> bytes:
         now_ns, last = self._clock.now_ns(), self._last
-        end_ns = now_ns + len(data) * self._character_ns
+        end_ns = now_ns + len(data) * self.character_ns
         self._last = _Sent(now_ns, end_ns, station, data)
         if last is None or last.station is station or now_ns >= last.end_ns:
             return data
         if last.station.address != station.address and self.options.collisions == "same_address":
             return data
-        under = last.data[(now_ns - last.begin_ns) // self._character_ns :].ljust(len(data), b"\x7f")
+        under = last.data[(now_ns - last.begin_ns) // self.character_ns :].ljust(len(data), b"\x7f")
         return bytes(one & other for one, other in zip(data, under, strict=False))
 
     # The world

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import Clock
+from orchestrator.link.supply import Supply
 from sim.core.controller import Connection, LimitSwitch, Motion, PortRefused, Send
 from sim.yaskawa.controller import Controller, refused
 from sim.yaskawa.options import MAIN_BAUD
@@ -74,6 +75,9 @@ class Chain:
             self._clock.call_at_ns(self._clock.now_ns() + hops * self._hop_ns, deliver)
         else:
             deliver()
+
+    def now_ns(self) -> int:
+        return self._clock.now_ns()
 
     # The physical world
 
@@ -165,6 +169,9 @@ class ChainConnection:
         self._send = send
         self._closed = closed
         self._live = True
+        self._spoke = 0
+        """The place of the unit that has answered last."""
+        self.supply = Supply()
         self._ends = [_Open(None) for _ in chain.units]
         for place in range(len(chain.units)):
             self._plug(place)
@@ -191,6 +198,8 @@ class ChainConnection:
 
         def gone() -> None:
             self._ends[place].connection = None
+            if place <= self._spoke:
+                self.supply.switched(False, self._chain.now_ns())
             if place == 0 and self._live:
                 self.close()
                 self._closed()
@@ -214,6 +223,7 @@ class ChainConnection:
     def _leave(self, place: int, data: bytes) -> None:
         """Bytes leave port 1 of the unit at `place` for the host."""
         if self._live and all(self._chain.passes(before) for before in range(place)):
+            self._spoke = place
             self._chain.after_hops(place, lambda: self._deliver(data))
 
     def _deliver(self, data: bytes) -> None:

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+from orchestrator.link.supply import Supply
 from sim.core.controller import PortRefused, Send
 from sim.yaskawa import fixed
 from sim.yaskawa.context import Context
@@ -32,6 +33,8 @@ Download = Callable[[str], None]
 
 class Port:
     """One open connection: `S` is the serial port, `A` to `H` are Ethernet handles."""
+
+    supply = Supply()
 
     def __init__(self, owner: "Ports", name: str, kind: str, send: Send, closed: Callable[[], None]) -> None:
         self.owner = owner

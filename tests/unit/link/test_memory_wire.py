@@ -4,17 +4,19 @@ from collections.abc import Callable
 from contextvars import copy_context
 from dataclasses import replace
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.link.memory import LAN, PROMISED_NS, FarConnection, MemoryWire
+from orchestrator.link.memory import LAN, PIECE_CHARACTERS, PROMISED_NS, FarConnection, MemoryWire, serial_wire
+from orchestrator.link.supply import Supply
 
 
 class Echo:
-    """Answers each line with itself. arrived_ns: when lines have come. taken: its one port is open."""
+    """Answers each line with itself. arrived_ns: when lines have come. taken: its one port is open. supply: it may lose its power."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.arrived_ns: list[int] = []
         self.taken = False
+        self.supply = Supply()
         self._clock = clock
         self._send: Callable[[bytes], None] = lambda _: None
 
@@ -23,6 +25,9 @@ class Echo:
             raise ValueError("the port is in use")
         self._send, self.taken = send, True
         return self
+
+    def say(self, data: bytes) -> None:
+        self._send(data)
 
     def receive(self, data: bytes) -> None:
         self.arrived_ns.append(self._clock.now_ns())
@@ -56,5 +61,30 @@ def test_a_port_can_be_opened_as_soon_as_it_is_closed() -> None:
         wire = MemoryWire(clock, LAN, Echo(clock), "serial", "unit", copy_context())
         for _ in range(20):
             await (await wire.open()).close()
+
+    run_virtual(main)
+
+
+def test_what_has_not_left_a_serial_port_when_power_is_lost_never_does() -> None:
+    """Long answers come piece by piece; behind the power cut the line is free at once."""
+
+    async def main(clock: VirtualClock) -> None:
+        echo = Echo(clock)
+        model = serial_wire(9600)
+        wire = MemoryWire(clock, model, echo, "serial", "unit", copy_context())
+        link = await wire.open()
+        said = bytes(range(65, 91)) * 20
+        begun_ns = clock.now_ns()
+        echo.say(said)
+        first = await link.read()
+        piece_ns = PIECE_CHARACTERS * model.char_ns
+        assert first.data == said[:PIECE_CHARACTERS] and first.at_ns - begun_ns >= piece_ns
+        await sleep_until_ns(clock, begun_ns + 100 * model.char_ns)
+        echo.supply.switched(False, clock.now_ns())
+        await sleep_until_ns(clock, begun_ns + 200 * model.char_ns)
+        echo.say(b"again")
+        assert first.data + (await link.read()).data == said[:100]
+        again = await link.read()
+        assert again.data == b"again" and again.at_ns - begun_ns < 210 * model.char_ns
 
     run_virtual(main)

@@ -32,3 +32,24 @@ def test_lines_arrive_each_at_its_own_end_and_in_order() -> None:
 
     run_virtual(test)
     assert arrived[-1][1] == b"H"
+
+
+def test_what_a_sender_without_power_had_still_to_send_is_lost() -> None:
+    arrived: list[tuple[int, bytes]] = []
+
+    async def test(clock: VirtualClock) -> None:
+        line = PacedLine(clock, CHAR_NS, lambda data: arrived.append((clock.now_ns() - begun_ns, data)))
+        begun_ns = clock.now_ns()
+        line.put(b"AB\r")
+        line.put(b"CDEFG\r")
+        line.put(b"HI\r")
+        await sleep_until_ns(clock, begun_ns + 5 * CHAR_NS)
+        silent_ns = clock.now_ns()
+        line.fell_silent(silent_ns)
+        assert line.waiting == 0
+        line.put(b"J")
+        line.fell_silent(silent_ns)
+        await asyncio.sleep(1)
+
+    run_virtual(test)
+    assert arrived == [(3 * CHAR_NS, b"AB\r"), (5 * CHAR_NS, b"CD"), (6 * CHAR_NS, b"J")]

@@ -228,7 +228,17 @@ def test_power_off_stops_the_motor_dead() -> None:
     assert rig.bus.motions[0].end_ns == S
     assert rig.clock.next_ns() is None
     rig.bus.set_power(True)
+    rig.wait(0.1)
     assert rig.ask("V1 VT Q") == "V+0 T1000 Y"
+
+
+def test_what_was_on_the_line_before_power_was_there_is_not_heard() -> None:
+    rig = Rig()
+    rig.bus.set_power(False)
+    rig.bus.set_power(True)
+    assert rig.ask("F") == ""
+    rig.wait(0.1)
+    assert rig.ask("F") == "R"
 
 
 def test_checksum_is_a_raw_character() -> None:

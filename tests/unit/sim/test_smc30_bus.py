@@ -79,6 +79,7 @@ def test_a_unit_that_is_off_says_nothing_and_the_others_go_on() -> None:
     assert line.ask(b"1F\r") == b""
     assert line.ask(b"2F\r") == b"R\r"
     line.units[0].set_power(True)
+    line.wait(10)
     assert line.ask(b"1F\r") == b"R\r"
 
 

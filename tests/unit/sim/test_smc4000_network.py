@@ -6,6 +6,7 @@ from collections.abc import Callable
 import pytest
 from unit.sim.desk import Desk
 
+from orchestrator.link.supply import Supply
 from sim.core.controller import Connection, Send, Timing
 from sim.yaskawa import SMC4000
 from sim.yaskawa.network import Network
@@ -22,6 +23,7 @@ class Device:
         self.coils = [False] * 32
         self.registers = [0] * 16
         self.hang_up: Callable[[], None] = lambda: None
+        self.supply = Supply()
 
     def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
         self._send, self.hang_up = send, closed

@@ -1,0 +1,34 @@
+"""The supply of who is at the far end of a serial line: what it says while it loses power is cut off, and of what is
+said to it while it gets power it hears the rest."""
+
+from dataclasses import dataclass
+
+NEVER_NS = -(2**63)
+
+
+@dataclass(slots=True)
+class Supply:
+    """lost_ns, back_ns: when power was lost, and was there again, the last time."""
+
+    lost_ns: int = NEVER_NS
+    back_ns: int = NEVER_NS
+
+    def switched(self, on: bool, at_ns: int) -> None:
+        """Power is on or off from now on."""
+        if on:
+            self.back_ns = at_ns
+        else:
+            self.lost_ns = at_ns
+
+    def left(self, data: bytes, said_ns: int, ends_ns: int, char_ns: int) -> bytes:
+        """What has left a port, of characters of `char_ns` each that were said at `said_ns` and end at `ends_ns`."""
+        if not said_ns <= self.lost_ns < ends_ns:
+            return data
+        return data[: max(0, len(data) + (self.lost_ns - ends_ns) // char_ns)]
+
+    def heard(self, data: bytes, ends_ns: int, char_ns: int) -> bytes:
+        """What is heard of characters of `char_ns` each that end at `ends_ns`: those that begin under power."""
+        if self.back_ns <= ends_ns - len(data) * char_ns:
+            return data
+        heard = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)
+        return data[len(data) - heard :]
