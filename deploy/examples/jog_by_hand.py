@@ -16,7 +16,7 @@ async def main(axis: str, velocity: float, endpoint: str) -> None:
                 await asyncio.sleep(EVERY_S)
                 # Good for 200 ms: when this script dies, the axis stops by itself.
                 await hand.renew()
-        # Stopped and given back, here and whatever happened above.
+        # Told to stop and given back, here and whatever happened above; it may be on its ramp yet.
         print((await tutti.status())[axis.partition(".")[0]].axes[axis.partition(".")[2]].position)
 
 
