@@ -200,6 +200,11 @@ class RunningFleet:
         wait_until(both_move, "both move")
         return job_id
 
+    def at_rest(self, controller: str) -> Entry:
+        """How its last motion ended; waited for, also when it rests: the simulator writes down a little later."""
+        wait_until(lambda: self.truth(controller)[-1]["event"] == "end", f"{controller} comes to rest")
+        return self.truth(controller)[-1]
+
     def rest_ns(self, controller: str) -> int:
         """When the slow axis of the controller came to rest, host time; waited for."""
 

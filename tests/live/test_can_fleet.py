@@ -60,7 +60,7 @@ def test_one_job_moves_both_drives_and_the_report_covers_what_they_did(fleet: Ru
     starts = [
         entry["start_ns"] for name in ("left", "right") for entry in fleet.truth(name) if entry["event"] == "start"
     ]
-    ends = {name: fleet.truth(name)[-1]["end_counts"] for name in ("left", "right")}
+    ends = {name: fleet.at_rest(name)["end_counts"] for name in ("left", "right")}
     assert ends == {"left": 30_000.0, "right": -20_000.0}
     assert len(starts) == 2
     assert step.start_skew is not None
@@ -86,8 +86,7 @@ def test_the_guardian_stops_a_bus_whose_adapter_host_is_killed(fleet: RunningFle
     wait_until(lambda: fleet.starts("left") + fleet.starts("right") == 2, "both move")
     killed_ns = fleet.kill("adapters.host_process")
     for name in ("left", "right"):
-        wait_until(lambda name=name: fleet.truth(name)[-1]["event"] == "end", f"{name} comes to rest")
-        last = fleet.truth(name)[-1]
+        last = fleet.at_rest(name)
         note(f"{name} at rest after s", margin_s(killed_ns, last["end_ns"]))
         assert 0 <= margin_s(killed_ns, last["end_ns"]) < STOPPED_S
         assert last["end_counts"] < 100_000

@@ -75,8 +75,7 @@ def holding(panel: TerminalProcess, arrow: str, condition: Callable[[], bool], w
 
 def at_rest_ns(fleet: RunningFleet) -> int:
     """When the axis came to rest; waited for."""
-    wait_until(lambda: fleet.truth("gantry")[-1]["event"] == "end", "it comes to rest")
-    return fleet.truth("gantry")[-1]["end_ns"]
+    return fleet.at_rest("gantry")["end_ns"]
 
 
 def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) -> None:
@@ -88,13 +87,12 @@ def test_an_axis_moves_while_its_key_is_held(fleet: RunningFleet, start: Start) 
     holding(panel, "right", lambda: "you" in panel.screen, "the panel shows who has it")
     assert fleet.truth("gantry")[-1]["event"] == "start"
     let_go_ns = panel.release("right")
-    assert margin_s(let_go_ns, at_rest_ns(fleet)) < RAMP_S + BUSY_S
-    last = fleet.truth("gantry")[-1]
+    last = fleet.at_rest("gantry")
+    assert margin_s(let_go_ns, last["end_ns"]) < RAMP_S + BUSY_S
     assert last["end_counts"] > last["start_counts"]
     begins(fleet, panel, "left")
     panel.release("left")
-    at_rest_ns(fleet)
-    last = fleet.truth("gantry")[-1]
+    last = fleet.at_rest("gantry")
     assert last["end_counts"] < last["start_counts"]
     wait_until(lambda: not fleet.status()["gantry"].leases, "it is given back after a while")
 
@@ -209,8 +207,7 @@ def test_the_example_jogs_for_a_second(fleet: RunningFleet, start: Start) -> Non
     example = [sys.executable, str(EXAMPLES / "jog_by_hand.py"), "gantry.x", "5", fleet.endpoint]
     done = subprocess.run(example, capture_output=True, text=True, timeout=LIMIT_S)
     assert done.returncode == 0, done.stderr
-    at_rest_ns(fleet)  # it has been told to stop, and may have been on its ramp when the script ended
-    last = fleet.truth("gantry")[-1]
+    last = fleet.at_rest("gantry")  # it has been told to stop, and may have been on its ramp when the script ended
     assert 0.9 < margin_s(last["start_ns"], last["end_ns"]) < 1.0 + SILENCE_S + BUSY_S
     assert last["end_counts"] - last["start_counts"] > 4000
     example[2] = "stage.u"
