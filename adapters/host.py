@@ -13,8 +13,9 @@ from adapters.contract import Firer, Make, Setup
 from adapters.firing import as_punctual_as
 from adapters.seat import Seat
 from adapters.store import Remembered, Store
+from adapters.together import AnswersTogether
 from adapters.unit import Unit
-from orchestrator.bus.base import Bus, Declared, NoReply, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.base import Bus, Declared, Handler, NoReply, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
@@ -112,6 +113,7 @@ class AdapterHost:
         self._lowering = asyncio.Lock()
         mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
         self.units = {controller: self._unit(controller, config) for controller, config in mine.items()}
+        self._together = AnswersTogether(around.keys, around.clock, self._answer_of)
 
     def _unit(self, controller: str, config: Controller) -> Unit:
         around, line = self._around, _SharedLine()
@@ -159,6 +161,7 @@ class AdapterHost:
         ]
         for unit in self.units.values():
             await unit.start()
+        self._declared.append(await bus.serve(keys.together(self._name), self._together.answer))
         self._spawn(self._watch_reign())
 
     async def close(self) -> None:
@@ -166,8 +169,13 @@ class AdapterHost:
             await unit.close()
         for declared in self._declared:
             await declared.undeclare()
+        self._together.close()
         for task in list(self._tasks):
             task.cancel()
+
+    def _answer_of(self, controller: str) -> Handler | None:
+        unit = self.units.get(controller)
+        return None if unit is None else unit.answer
 
     async def _reconfigure(self, controller: str, config: Controller) -> None:
         """Replace a unit; the new one knows what the old one has remembered, and must be adopted."""

@@ -23,7 +23,7 @@ from adapters.referencing import Referencing
 from adapters.seat import Seat
 from adapters.settling import Settling
 from adapters.store import Remembered
-from orchestrator.bus.base import Declared
+from orchestrator.bus.base import Declared, Handler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
@@ -109,11 +109,17 @@ class Unit:
 
     async def close(self) -> None:
         """Leave the bus and the link. The controller is left as it is."""
-        for declared in self._declared:
-            await declared.undeclare()
+        declared, self._declared = self._declared, []
+        for each in declared:
+            await each.undeclare()
         for task in list(self._tasks):
             task.cancel()
         await self._driver.close()
+
+    @property
+    def answer(self) -> Handler | None:
+        """What answers its commands; None while it has no place on the bus."""
+        return self._commands.answer if self._declared else None
 
     async def _take_over_latch(self) -> None:
         replies = await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)

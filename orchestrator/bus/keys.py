@@ -62,6 +62,10 @@ class Keys:
     def _ctl(self, ctl: str | None, leaf: str) -> str:
         return f"{self.prefix}/ctl/{_chunk(ctl, 'controller')}/{leaf}"
 
+    def together(self, host: str, verb: str | None = None) -> str:
+        """A command to several controllers of an adapter host at once; answered by the host."""
+        return f"{self.prefix}/host/{check_id(host, 'host')}/cmd/{_chunk(verb, 'verb')}"
+
     def lease(self, ctl: str, axis: str | None = None) -> str:
         """Who may move a controller, or one axis of it; put by the coordinator."""
         key = f"{self.prefix}/lease/{check_id(ctl, 'controller')}"
@@ -119,9 +123,9 @@ class Keys:
     # Reading back
 
     def verb_of(self, key: str) -> str:
-        """The verb of a `ctl/{id}/cmd/{verb}` or `svc/{verb}` key."""
-        chunks = self._chunks(key, ("ctl", "svc"), 2)
-        if chunks[0] == "ctl" and (len(chunks) != 4 or chunks[2] != "cmd"):
+        """The verb of a `ctl/{id}/cmd/{verb}`, `host/{id}/cmd/{verb}` or `svc/{verb}` key."""
+        chunks = self._chunks(key, ("ctl", "host", "svc"), 2)
+        if chunks[0] != "svc" and (len(chunks) != 4 or chunks[2] != "cmd"):
             raise ValueError(f"{key!r} is no command")
         return check_id(chunks[-1], "verb")
 

@@ -94,7 +94,10 @@ class Coordinator:
         self._log = Log("coordinator", self.throne.coordinator[:8], clock, court.sink, bus, keys)
         self._log.fleet_ns = lambda: self.throne.fleet_now_ns() if self.throne.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
-        members = self._members = Members(bus, keys, self.throne, court.new_id)
+        view = self._view
+        members = self._members = Members(
+            bus, keys, self.throne, court.new_id, lambda controller: view.fleet.controllers[controller].host
+        )
         permits = self._permits = Permits(self._view, clock)
         self._leases = LeaseBook(self._view, members, clock, bus, keys, self._log)
         self._motion = Motion(self._view, members, permits, self.throne, clock, court.journal, self._runs, self._log)

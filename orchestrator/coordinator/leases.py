@@ -19,6 +19,7 @@ from orchestrator.model.report import Lease
 ANSWER_S = 2.0
 TTL_MS = 3000  # an adapter that hears nothing of a lease for so long takes it back
 RENEW_NS = NS_PER_S
+LOOK_NS = RENEW_NS // 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ class LeaseBook:
         self._given_back = asyncio.Event()
         self._declared: list[Declared] = []
         self._renewing: asyncio.Task[None] | None = None
+        self._told_ns: dict[str, int] = {}  # by holder: when the adapters were told of it last
         self._tasks: set[asyncio.Task[None]] = set()
         self._takings = 0
         self._listeners: list[Callable[[str], None]] = []
@@ -176,6 +178,7 @@ class LeaseBook:
         except Refuse as error:
             self._log.warning(f"lease not taken back: {error.refusal.text}; it runs out by itself", holder=holder)
         self._held.pop(holder, None)
+        self._told_ns.pop(holder, None)
         self._given_back.set()
         self._publish(held, None)
         for listener in self._listeners:
@@ -204,25 +207,30 @@ class LeaseBook:
     async def _tell(self, held: Held, ttl_ms: int, reason: str = "") -> None:
         """Tell the adapters. Raises `Refuse` for the first that refuses."""
 
-        asked_ns = self._clock.now_ns()
-
-        async def ask(controller: str, names: list[str]) -> LeaseReply:
-            fields = self._members.fields(held.actor)
-            request = LeaseRequest(
-                **fields, axes=names, holder=held.holder, taking=held.taking, ttl_ms=ttl_ms, reason=reason
+        asked_ns = self._told_ns[held.holder] = self._clock.now_ns()
+        requests = {
+            controller: LeaseRequest(
+                **self._members.fields(held.actor),
+                axes=names,
+                holder=held.holder,
+                taking=held.taking,
+                ttl_ms=ttl_ms,
+                reason=reason,
             )
-            return await self._members.ask(controller, "lease", request, LeaseReply, ANSWER_S)
-
-        replies = await asyncio.gather(*(ask(c, names) for c, names in by_controller(held.axes).items()))
-        for reply in replies:
+            for controller, names in by_controller(held.axes).items()
+        }
+        replies = await self._members.ask_all("lease", requests, LeaseReply, ANSWER_S)
+        for reply in replies.values():
             if reply.refused is not None:
                 raise refuse(reply.refused)
             if reply.state is not None:
                 self._view.answered(reply.state, asked_ns)
 
     async def _renew(self) -> None:
+        """Each lease when its own time has come: a job that has just been given one is about to load all its members,
+        and renewals for sixteen take their processors a twentieth of a second."""
         while True:
-            await sleep_ns(self._clock, RENEW_NS)
+            await sleep_ns(self._clock, LOOK_NS)
             now_ns = self._clock.now_ns()
             # One that does not answer must not keep the others' leases from being renewed in time.
             for held in self._held.values():
@@ -230,7 +238,7 @@ class LeaseBook:
                     continue
                 if held.until_ns is not None and held.until_ns <= now_ns:
                     self._spawn(self.give_back(held.holder, "it was not renewed"))
-                elif not held.idle:
+                elif not held.idle and now_ns - self._told_ns.get(held.holder, 0) >= RENEW_NS:
                     self._spawn(self._renew_one(held))
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:

@@ -277,12 +277,8 @@ class Motion:
         }
         declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in moving.proposals.items()}
         timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
-        asked_ns, took_ns = self._clock.now_ns(), dict[str, int]()
-
-        def answered(member: str) -> None:
-            took_ns[member] = self._clock.now_ns() - asked_ns
-
-        moving.armed = await self._members.ask_all("arm", requests, Armed, timeout_s, answered=answered)
+        took_ns = dict[str, int]()
+        moving.armed = await self._members.ask_all("arm", requests, Armed, timeout_s, answered=took_ns.__setitem__)
         await self._disarm_if_refused(moving, moving.armed)
         self._proposing.pace.armed(declared_ns, took_ns)
 

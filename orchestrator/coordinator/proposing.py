@@ -24,6 +24,7 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
+LEAD_ROOM = 1.25  # over what the same members needed last time: a slower step in between is no reason to ask all again
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
 
@@ -127,7 +128,7 @@ class Proposing:
         durations: dict[str, float] = {}
         # What the same members needed last time mostly saves a round; what they promise for longer holds for less.
         members = frozenset(moving.movers)
-        moving.lead_ns = moving.lead_ns or self._leads_ns.get(members, 0)
+        moving.lead_ns = moving.lead_ns or round(LEAD_ROOM * self._leads_ns.get(members, 0))
         for _ in range(ROUNDS):
             await self._ask(moving, step)
             durations = {

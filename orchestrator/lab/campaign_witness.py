@@ -63,12 +63,15 @@ class Witness:
         """`bus`, for a coordinator."""
         return WitnessedBus(bus, self)
 
-    def ask(self, key: str, payload: bytes) -> Asked | None:
-        """A request goes out."""
-        *_, kind, member, cmd, verb = ("", "", "", *key.split("/"))
-        if (kind, cmd) != ("ctl", "cmd") or verb not in _SEEN:
-            return None
-        said = json.loads(payload)
+    def ask(self, key: str, payload: bytes) -> list[Asked]:
+        """A request goes out, to one member or several of a host."""
+        *_, kind, name, cmd, verb = ("", "", "", *key.split("/"))
+        if cmd != "cmd" or verb not in _SEEN:
+            return []
+        texts = json.loads(payload)["requests"] if kind == "host" else {name: payload}
+        return [self._ask(verb, member, json.loads(text)) for member, text in texts.items()]
+
+    def _ask(self, verb: str, member: str, said: dict[str, Any]) -> Asked:
         axes = said.pop("profiles", None)
         if axes is not None:
             said["axes"] = list(axes)
@@ -77,12 +80,16 @@ class Witness:
         self._heard(asked)
         return asked
 
-    def answer(self, asked: Asked, payload: bytes) -> None:
-        """Its answer has come."""
-        asked.answered_ns = self._clock.now_ns()
-        asked.reply = json.loads(payload)
-        asked.taken = asked.reply["refused"] is None
-        self._heard(asked)
+    def answer(self, key: str, asked: list[Asked], payload: bytes) -> None:
+        """The answer has come, of all who have given one."""
+        together = key.split("/")[3] == "host"
+        texts = json.loads(payload)["replies"] if together else {each.member: payload for each in asked}
+        for each in asked:
+            if each.member in texts:
+                each.answered_ns = self._clock.now_ns()
+                each.reply = json.loads(texts[each.member])
+                each.taken = each.reply["refused"] is None
+                self._heard(each)
 
 
 class WitnessedBus:
@@ -95,8 +102,8 @@ class WitnessedBus:
     async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
         asked = self._witness.ask(key, payload)
         reply = await self._bus.request(key, payload, timeout_s)
-        if asked is not None:
-            self._witness.answer(asked, reply)
+        if asked:
+            self._witness.answer(key, asked, reply)
         return reply
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:

@@ -32,6 +32,26 @@ class Reply(Model):
     refused: Refusal | None = None
 
 
+class Together(Model):
+    """The same verb to several controllers of one adapter host.
+
+    requests: by controller, the JSON text of its own request. within_ns: who has not answered by then is left out of
+    the reply, and goes on.
+    """
+
+    requests: dict[Id, str] = Field(min_length=1)
+    within_ns: Int53 = Field(gt=0)
+
+
+class TogetherReply(Model):
+    """By controller: the JSON text of its own reply, or why its request could not be understood; neither of who is not
+    there or has not answered in time. took_ns: from the common request to each answer."""
+
+    replies: dict[Id, str] = Field(default={})
+    errors: dict[Id, str] = Field(default={})
+    took_ns: dict[Id, Int53] = Field(default={})
+
+
 class Fenced(Request):
     """A request that only the reigning coordinator may make: epoch and uuid of its reign."""
 
