@@ -31,6 +31,7 @@ from orchestrator.model.messages import (
     Commit,
     ConfigureRequest,
     Disarm,
+    Disarmed,
     EnableRequest,
     Fenced,
     Go,
@@ -109,7 +110,7 @@ class Commands:
             "arm": (Arm, Armed, parts.member.arm),
             "commit": (Commit, Reply, self._commit),
             "go": (Go, Reply, self._go),
-            "disarm": (Disarm, Reply, parts.member.disarm),
+            "disarm": (Disarm, Disarmed, parts.member.disarm),
             "stop": (Stop, Reply, self._stop),
             "enable": (EnableRequest, Reply, self._enable),
             "home": (HomeRequest, HomeReply, self._home),
@@ -165,8 +166,11 @@ class Commands:
     async def _go(self, request: Go) -> Reply:
         self._fence.require_no_estop()
         reply = await self._parts.member.go(request)
-        # It is polled as one that moves from here on: that it has started must not be seen a slow poll later.
-        self._unit.poke()
+        ticket = self._parts.member.ticket
+        if ticket is not None:
+            # It is polled as one that moves from T0 on: that it has started must not be seen a slow poll later. Before,
+            # others are still told to go, and wait for the link and this host.
+            self._seat.clock.call_at_ns(ticket.t0_host_ns, self._unit.poke)
         return reply
 
     async def _stop(self, request: Stop) -> Reply:
@@ -178,9 +182,9 @@ class Commands:
         self._condition.require_known(request.axes)
         before = self._parts.leases.holders
         self._parts.leases.grant(request)
-        # Not at each renewal: a state that comes says that the controller was read.
+        # Who asks is told the state at once, others with the next poll or heartbeat; not at each renewal.
         changed = self._parts.leases.holders != before
-        return LeaseReply(state=self._presenter.publish() if changed else None)
+        return LeaseReply(state=self._presenter.state() if changed else None)
 
     async def _enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)

@@ -112,7 +112,7 @@ class Lowered:
     plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause;
     of a member that waits for a line, the line's own window is among them (name `line`). edge: the same for the edge
     of the line that it drives, at its terminal. clock_ppm: by how much the unit's own crystal may make all of it longer
-    or shorter, guaranteed. commands: what would be sent, for people.
+    or shorter, guaranteed. sooner: `go` can bring T0 forward. commands: what would be sent, for people.
     """
 
     start_class: StartClass
@@ -124,6 +124,7 @@ class Lowered:
     commands: tuple[str, ...]
     edge: tuple[Term, ...] = field(default=(), kw_only=True)
     clock_ppm: float = field(default=100.0, kw_only=True)
+    sooner: bool = field(default=False, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,10 +285,12 @@ class Driver(ABC):
         """Just before the promise: still armed, still where the plan starts. Raises `CannotDo`."""
 
     @abstractmethod
-    async def go(self, slack_ns: int = 0) -> None:
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
         """Open the gate: the armed move starts at its instant. Raises `CannotDo` (code `late`) when that is past.
 
-        slack_ns: who is started by the host may be started so much later than its options promise.
+        slack_ns: who is started by the host may be started so much later than its options promise. sooner_ns: T0 comes
+        so much sooner than it was armed for, by a whole number of ticks to within a few hundredths of one; 0 where what
+        was lowered is not `sooner`.
         """
 
     @abstractmethod

@@ -17,10 +17,11 @@ from adapters.settling import Settled
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Go, Proposal, Propose, Reply, StepRef
+from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Disarmed, Go, Proposal, Propose, Reply, StepRef
 from orchestrator.model.state import AxisEvidence, EventKind, Interval
 
 QUIET_NS = 20 * NS_PER_MS  # nothing polls a member this long before T0
+STOPS_NS = 10 * NS_PER_MS  # so long before T0 a stop is written that is carried out before it
 
 
 class Phase(Enum):
@@ -42,6 +43,7 @@ class Ticket:
     t0_host_ns: int
     axes: tuple[str, ...]
     scale: FleetScale
+    sooner: bool
     phase: Phase = Phase.ARMED
 
 
@@ -111,6 +113,7 @@ class Member:
             terms=list(lowered.terms),
             edge=list(lowered.edge),
             clock_ppm=lowered.clock_ppm,
+            sooner=lowered.sooner,
             commands=list(lowered.commands),
         )
 
@@ -135,7 +138,8 @@ class Member:
                 raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
             if interruptions != self._interruptions:
                 raise CannotDo("stopped", "a stop came before arming", "")
-            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, tuple(request.profiles), scale)
+            axes = tuple(request.profiles)
+            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, axes, scale, lowered.sooner)
             try:
                 async with self._loading:
                     stages = await self._driver.arm(lowered, t0_ns, mapping)
@@ -168,13 +172,21 @@ class Member:
             return Reply()
 
     async def go(self, request: Go) -> Reply:
-        """Open the gate."""
+        """Open the gate, for the T0 that was promised or a sooner one."""
         async with self._turn:
-            ticket = self._require(request, request.t0_fleet_ns, Phase.COMMITTED)
-            self.ticket = released = replace(ticket, phase=Phase.RELEASED)
+            sooner_ns = request.sooner_ns
+            ticket = self._require(request, request.t0_fleet_ns + sooner_ns, Phase.COMMITTED)
+            if sooner_ns and (sooner_ns < 0 or not ticket.sooner):
+                raise CannotDo("not-sooner", "it begins at the T0 that it was armed for", "arm it for another one")
+            t0_ns = ticket.t0_host_ns - sooner_ns
+            if self._clock.now_ns() >= t0_ns:
+                raise CannotDo("late", "T0 is past", "give more lead time")
+            self.ticket = released = replace(
+                ticket, phase=Phase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
+            )
             interruptions = self._interruptions
             try:
-                await self._driver.go(request.slack_ns)
+                await self._driver.go(request.slack_ns, sooner_ns)
             except (CannotDo, DriverFault):
                 self.ticket = None
                 # It may have been released all the same: what was only not answered must not run either.
@@ -187,13 +199,19 @@ class Member:
             self._spawn(self._follow(released))
             return Reply()
 
-    async def disarm(self, request: Disarm) -> Reply:
+    async def disarm(self, request: Disarm) -> Disarmed:
         """Unload the step, if it is the one that is loaded. A step that moves is not touched."""
+        ticket, begun = self.ticket, False
+        if ticket is not None and ticket.phase is Phase.RELEASED:
+            # Past a `go` that is still under way, because T0 is near.
+            self._interruptions += 1
+            begun = self._clock.now_ns() + STOPS_NS >= ticket.t0_host_ns
+            await self._driver.stop(False)
         async with self._turn:
             ticket = self.ticket
             if ticket is None:
                 await self._unload()
-                return Reply()
+                return Disarmed(begun=begun)
             if ticket.phase is Phase.MOVING:
                 raise CannotDo("moving", "the step moves already", "stop it")
             self._interruptions += 1
@@ -203,7 +221,7 @@ class Member:
                 await self._driver.stop(False)
             await self._unload()
             self._emit("disarmed", "disarmed on request", ticket)
-            return Reply()
+            return Disarmed(begun=begun)
 
     # Ways out
 

@@ -402,7 +402,6 @@ class Unit:
         if self._condition.homing & set(axes):
             self._spawn(self.stop(False, reason))
         self._spawn(self._jogging.stop_holder(holder, reason))
-        self._presenter.publish()
 
     # What the parts ask of each other
 

@@ -265,7 +265,8 @@ class CiaDriver(Driver):
     async def verify(self) -> None:
         await self._moving().verify()
 
-    async def go(self, slack_ns: int = 0) -> None:
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
+        # A SYNC may start several drives, and only all of them together: never sooner.
         await self._moving().go(slack_ns)
 
     async def disarm(self) -> None:

@@ -90,6 +90,7 @@ def lower(
         costs=costs(options, char_ns, installed, ramps_s, wait is not None),
         commands=_shown(running, wait, drive),
         edge=() if drive is None else edge_terms(options, start),
+        sooner=True,
         lead_ns=start.usual_ns,
         moves=running,
         wait=wait,

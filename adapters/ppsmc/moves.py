@@ -111,10 +111,11 @@ class Mover:
         elif lowered.moves:
             loading.require_targets(self._unit, lowered, heard.one(ASK_TARGETS))
 
-    async def go(self, slack_ns: int) -> None:
+    async def go(self, slack_ns: int, sooner_ns: int) -> None:
         """Start the program that waits for the line; have the starting line, or the one that switches an output,
         written so that it is executed at T0, or `slack_ns` later than promised. Raises `CannotDo`."""
         move = self._require()
+        move.t0_ns -= sooner_ns
         if move.waits:
             await self._begin_wait(move)
         line = ""

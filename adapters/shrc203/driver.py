@@ -138,8 +138,8 @@ class ShrcDriver(Driver):
     async def verify(self) -> None:
         await self._moving().verify()
 
-    async def go(self, slack_ns: int = 0) -> None:
-        await self._moving().go(slack_ns)
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
+        await self._moving().go(slack_ns, sooner_ns)
 
     async def disarm(self) -> None:
         await self._moving().disarm()

@@ -130,6 +130,7 @@ def lower(
         costs=wire.line_costs if wait is not None or drive is not None else wire.costs,
         commands=(*_shown(running, load, go, wait, drive), *([load_second] if seconds else [])),
         edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
+        sooner=True,
         lead_ns=lead_ns,
         moves=running,
         firsts=firsts,

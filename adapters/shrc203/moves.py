@@ -113,11 +113,12 @@ class Mover:
         else:
             self._compare(move, await self._unit.buffers.moves())
 
-    async def go(self, slack_ns: int) -> None:
+    async def go(self, slack_ns: int, sooner_ns: int) -> None:
         """Have the starting line, or the one that switches the output, written so that its end is at the unit
         `lead_ns` before T0, or `slack_ns` later than promised; both are written at once. Axes that wait for an input
         need nothing more."""
         move = self._require()
+        move.t0_ns -= sooner_ns
         lines = [move.lowered.start] if move.lowered.moves and not move.waits else []
         if move.output is not None:
             lines.append(move.output.on)

@@ -133,6 +133,7 @@ def lower(
         edge=edge if drive is not None else (),
         tick_ns=0.0,
         clock_ppm=known.clock_ppm(duration_s),
+        sooner=True,
         costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,

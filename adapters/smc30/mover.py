@@ -129,10 +129,11 @@ class Mover:
         if not known:
             raise CannotDo("not-loaded", f"{unit.session.name} has lost its program", "arm again")
 
-    async def go(self, slack_ns: int) -> None:
+    async def go(self, slack_ns: int, sooner_ns: int) -> None:
         """Have the starting line written in its slot, so that the motion or the edge is at T0, or `slack_ns` later than
         promised: but not where the next unit's slot follows."""
         move = self._require()
+        move.t0_ns -= sooner_ns
         lowered, session = move.lowered, self._unit.session
         if not lowered.program or lowered.wait is not None:
             return

@@ -79,9 +79,9 @@ class YaskawaDriver(Driver, Generic[_Device]):
     async def verify(self) -> None:
         await self._start.verify()
 
-    async def go(self, slack_ns: int = 0) -> None:
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
         # The controller starts itself.
-        await self._start.go()
+        await self._start.go(sooner_ns)
 
     async def disarm(self) -> None:
         await self._start.disarm()

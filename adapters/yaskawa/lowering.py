@@ -177,7 +177,7 @@ def lower_moves(
                 raise
             load = _registers(shapes, way, motors)
             note = (f"({why}; no contour: {refusal})",)
-    return _promise(config, load, note, profiles, motors, options, costs, how, mapping)
+    return _promise(config, load, note, profiles, motors, options, costs, how, mapping, packets)
 
 
 def _by_registers(
@@ -336,6 +336,7 @@ def _promise(
     costs: Costs,
     how: StartWay,
     mapping: TickMapping,
+    packets: arrays.Packets,
 ) -> LoweredMoves:
     tick_ns = mapping.tick_ns
     lengths: dict[str, float] = {}
@@ -381,6 +382,8 @@ def _promise(
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, how),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
+        # On a line where uploads are slow, another T0 takes longer to tell than it is sooner.
+        sooner=not isinstance(packets, arrays.SlowUpload),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,

@@ -70,11 +70,10 @@ class SerialSession(Session):
         """`async with`: exchanges with nobody else's between them."""
         return Turn(self._line, self._unit)
 
-    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
+    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> int:
         """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing."""
         given = list(commands)
-        if given:
-            await self._told("\r".join(given), still)
+        return (await self._told("\r".join(given), still))[1].sent_ns if given else 0
 
     async def values(self, operands: Sequence[str], then: str) -> list[float]:
         found: list[float] = []

@@ -74,13 +74,16 @@ class Session:
         """A command without data in its reply. Raises `Refused`."""
         await self.ask(command, 0, still)
 
-    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> None:
-        """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing.
+    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> int:
+        """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing. Gives
+        the instant at which the last ones were written.
 
         Raises `Refused` for the last one that was, of which the controller still knows why.
         """
-        for lines in await self._ask_each(commands, still):
+        answered, sent_ns = await self._ask_each(commands, still)
+        for lines in answered:
             self.unsolicited.extend(lines)
+        return sent_ns
 
     async def values(self, operands: Sequence[str], then: str) -> list[float]:
         """The values of any number of operands, as `numbers` reads them, and `then` told behind them, in one go.
@@ -90,14 +93,19 @@ class Session:
         parts = [operands[at : at + OPERANDS_OF_LINE] for at in range(0, len(operands), OPERANDS_OF_LINE)]
         commands = [message(part) for part in parts]
         found: list[float] = []
-        for part, command, lines in zip(parts, commands, await self._ask_each([*commands, then]), strict=False):
+        answered, _ = await self._ask_each([*commands, then])
+        for part, command, lines in zip(parts, commands, answered, strict=False):
             self.unsolicited.extend(lines[:-1])
             found += parse_numbers("".join(lines[-1:]), len(part), command)
         return found
 
-    async def _ask_each(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> list[list[str]]:
-        """The lines that each of some commands is answered by, as many of them in a packet as it holds."""
+    async def _ask_each(
+        self, commands: Iterable[str], still: Callable[[], None] | None = None
+    ) -> tuple[list[list[str]], int]:
+        """The lines that each of some commands is answered by, as many of them in a packet as it holds; and when the
+        last packet was written."""
         found: list[list[str]] = []
+        sent_ns = 0
         async with self._turn:
             await self._get_in_step()
             if still is not None:
@@ -117,13 +125,13 @@ class Session:
                     lines = [line for each in replies for line in each.lines]
                     return _Parsed(lines, any(each.refused for each in replies), used)
 
-                await self._exchange("\r".join(packet), all_replies)
+                _, sent_ns = await self._exchange("\r".join(packet), all_replies)
                 refused = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
                 if refused:
                     raise await self._refusal(refused[-1])
                 self._in_step = True
                 found += (reply.lines for reply in replies)
-        return found
+        return found, sent_ns
 
     async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
         """A command whose reply has `lines` data lines at the end. Raises `Refused`, `DriverFault`, `LinkClosed`.

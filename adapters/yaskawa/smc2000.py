@@ -170,9 +170,9 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         async with self._device.together():
             await super().verify()
 
-    async def go(self, slack_ns: int = 0) -> None:
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
         async with self._device.together():
-            await super().go(slack_ns)
+            await super().go(slack_ns, sooner_ns)
 
     async def disarm(self) -> None:
         self._device.session.keep_quiet(0, 0)

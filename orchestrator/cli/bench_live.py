@@ -157,11 +157,12 @@ def dispatch(as_json: bool, rounds: int) -> None:
     figures = _measured(measure)
     if as_json:
         plain = figures._asdict()
-        for name in ("first_motion", "lead", "noise"):
+        for name in ("first_motion", "lead", "armed_to_t0", "noise"):
             plain[name] = plain[name]._asdict()
         print_json(plain | {"parts": {name: each._asdict() for name, each in figures.parts.items()}})
         return
-    rows = {"submitted, to the first motion": figures.first_motion, "lead, of the last arming": figures.lead}
+    rows = {"submitted, to the first motion": figures.first_motion, "lead of T0, once it is settled": figures.lead}
+    rows |= {"T0 after the last arming's begin": figures.armed_to_t0}
     rows |= {f"part: {name}": each for name, each in figures.parts.items()} | {_WORDS["noise"]: figures.noise}
     table = plain_table(["live", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
     for name, each in rows.items():

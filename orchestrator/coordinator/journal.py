@@ -258,6 +258,14 @@ class Journal:
                 "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, step, epoch, t0_fleet_ns, members, utc)
             )
 
+    def withdraw(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
+        """Take a decision back: nobody has begun, and nobody will at that T0. Raises `HasEnded`, `JournalError`."""
+        with self._transaction():
+            self._require_unended(job_id)
+            self._db.execute(
+                "DELETE FROM decisions WHERE job_id = ? AND step = ? AND t0_fleet_ns = ?", (job_id, step, t0_fleet_ns)
+            )
+
     def decisions(self, job_id: str) -> list[tuple[int, int]]:
         """(step, T0 in fleet ns) of every decision to move in a job."""
         rows = self._read("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))

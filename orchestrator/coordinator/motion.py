@@ -25,6 +25,7 @@ from orchestrator.model.messages import (
     Armed,
     Commit,
     Disarm,
+    Disarmed,
     Go,
     Refusal,
     Reply,
@@ -199,24 +200,40 @@ class Motion:
                 await on_state("arming", "")
                 await self._await_alignment(moving, step)
             moving.arming_fleet_ns = self._throne.fleet_now_ns()
+            moving.sooner_ns = moving.slip_ns = 0
             moving.t0_fleet_ns = self._proposing.start(moving, moving.arming_fleet_ns + moving.lead_ns, 0)
             try:
                 await beside(on_state("arming", ""), self._arm(moving, step))
                 await self._judge_frozen(moving, job, step)
                 await self._require_time(moving, "arming took longer than was allowed for")
-                await self._release(moving, on_state)
+                await self._release(moving, job, step, on_state)
             except Refuse as refused:
-                # Who does not answer may be busy; but a decision stands for one start alone.
-                if refused.refusal.code not in (LATE[:1] if moving.decided else LATE) or not moving.unloaded:
+                # Who does not answer may be busy.
+                if refused.refusal.code not in LATE or not moving.unloaded:
                     raise
                 late = refused
+                if moving.decided:
+                    await self._withdraw(moving)
             else:
                 return
         text = f"arming takes longer than the members say, however long the lead: {late.refusal.text}"
         raise Refuse("late", text, "see the log of the adapters, and the load of this machine", late.refusal.member)
 
-    async def _release(self, moving: Moving, on_state: Callable[[JobState, str], Coroutine[Any, Any, None]]) -> None:
-        """Have all promise, write down that they go, and let them. Raises `Refuse`: all are unloaded or stopped."""
+    async def _withdraw(self, moving: Moving) -> None:
+        """A decision stands for one start alone. Nobody has begun, and all have said so: it is taken back, and the next
+        arming gets one of its own."""
+        await self._runs(self._journal.withdraw, moving.job_id, moving.index, moving.t0_fleet_ns)
+        moving.decided = False
+
+    async def _release(
+        self,
+        moving: Moving,
+        job: Job,
+        step: Move,
+        on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
+    ) -> None:
+        """Have all promise, settle T0, write down that they go, and let them. Raises `Refuse`: all are unloaded or
+        stopped."""
         armed_ns = self._clock.now_ns()
         await beside(on_state("armed", ""), self._commit(moving))
         if moving.held_by is not None:
@@ -233,6 +250,9 @@ class Motion:
         except Refuse:
             pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
+        moving.settled_fleet_ns = self._throne.fleet_now_ns()
+        if not step.align:
+            self._proposing.settle(moving, job, step, moving.settled_fleet_ns, promised_ns - armed_ns)
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
         if self._throne.over:
@@ -300,8 +320,14 @@ class Motion:
 
     async def _go(self, moving: Moving) -> None:
         """After the decision: a member that can not go makes all others stop before, or just after, they begin."""
+        slack_ns = moving.slack_ns
         requests = {
-            member: Go(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member), slack_ns=moving.slack_ns)
+            member: Go(
+                **self._ref(moving),
+                t0_fleet_ns=moving.t0_ns(member),
+                sooner_ns=moving.sooner_ns,
+                slack_ns=slack_ns,
+            )
             for member in moving.proposals
         }
         left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
@@ -326,7 +352,8 @@ class Motion:
         moving.unloaded = True
 
         async def unload(member: str) -> None:
-            reply = await self._members.ask(member, "disarm", Disarm(**self._ref(moving)), Reply, ANSWER_S)
+            reply = await self._members.ask(member, "disarm", Disarm(**self._ref(moving)), Disarmed, ANSWER_S)
+            moving.unloaded = moving.unloaded and not reply.begun
             if reply.refused is not None and member in movers:
                 moving.unloaded = False
                 await self.stop([member], "decelerate", moving.actor, "disarm did not succeed")
@@ -456,6 +483,7 @@ class Motion:
             planned_s=moving.plan.duration_s,
             actual_s=actual_s,
             arming_fleet_ns=moving.arming_fleet_ns,
+            settled_fleet_ns=moving.settled_fleet_ns,
             t0_fleet_ns=moving.t0_fleet_ns,
             members=reports,
             budget=moving.budget,

@@ -49,10 +49,12 @@ class LineStart:
 @dataclass(slots=True)
 class Moving:
     """A motion step. lead_ns: how far ahead of the arming T0 is; what the proposals promise holds for so long.
+    sooner_ns: how much sooner than that it begins, to within slip_ns of a whole number of everybody's ticks.
 
-    arming_fleet_ns: when the last arming began. instances: of the adapters that it was planned with, by member.
-    early_ns: how much before the plan an axis may end that can not go so slowly. held_by: who has it braked inside.
-    unloaded: when it was disarmed last, nobody had begun. decided: the journal says that it goes.
+    arming_fleet_ns: when the last arming began; settled_fleet_ns: when T0 was settled. instances: of the adapters that
+    it was planned with, by member. early_ns: how much before the plan an axis may end that can not go so slowly.
+    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun. decided: the journal says
+    that it goes.
     """
 
     job_id: str
@@ -64,16 +66,20 @@ class Moving:
     line: LineStart | None = None
     proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
     lead_ns: int = 0
+    sooner_ns: int = 0
+    slip_ns: int = 0
     early_ns: int = 0
     armed: dict[str, Armed] = field(default_factory=dict[str, Armed])
     budget: Budget | None = None
     arming_fleet_ns: int = 0
+    settled_fleet_ns: int = 0
     t0_fleet_ns: int = 0
     events: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue[Event | None]())
     guard: Guard | None = None
     held_by: str | None = None
     unloaded: bool = False
     decided: bool = False
+    _shares: "tuple[Plan, dict[str, dict[str, Profile]]] | None" = None
 
     @property
     def brake_s(self) -> float:
@@ -118,8 +124,13 @@ class Moving:
 
     def profiles(self, member: str) -> dict[str, Profile]:
         """The member's share of the plan, by its own axis names."""
-        prefix = member + "."
-        return {axis.removeprefix(prefix): p for axis, p in self.plan.profiles.items() if axis.startswith(prefix)}
+        if self._shares is None or self._shares[0] is not self.plan:
+            shares: dict[str, dict[str, Profile]] = {}
+            for axis, profile in self.plan.profiles.items():
+                controller, _, name = axis.partition(".")
+                shares.setdefault(controller, {})[name] = profile
+            self._shares = self.plan, shares
+        return self._shares[1].get(member, {})
 
     def shift_ns(self, member: str) -> int:
         """How much later than T0 the member's own T0 is."""

@@ -14,7 +14,7 @@ from orchestrator.clock.base import NS_PER_MS
 KNOWN = 16  # steps from which on what was seen counts
 KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
-GO_ROOM = 1.5  # the same behind the decision, where who is late has failed and is not armed again
+GO_ROOM = 1.25  # the same behind the decision, where arming again begins only when all are unloaded
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
 LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from math import ceil, inf
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -24,6 +25,8 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
+SLIP = 0.02  # of a tick: T0 comes sooner by as many as the members' crystals keep so close together
+SLOW_GO = 2  # times what promises took: of what go takes there is one exchange more
 LEAD_ROOM = 1.25  # over what the same members needed last time: a slower step in between is no reason to ask all again
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
@@ -105,7 +108,38 @@ class Proposing:
             _require("end", end)
             _require("path", path)
 
+    def settle(self, moving: Moving, job: Job, step: Move, now_ns: int, promise_ns: int) -> None:
+        """Bring T0 forward by what arming and promises have been given and not taken, as far as the budget allows.
+        now_ns: fleet time. promise_ns: how long the promises took."""
+        moving.sooner_ns, moving.slip_ns = self._sooner(moving, now_ns, promise_ns)
+        if moving.slip_ns:
+            budget = moving.budget
+            try:
+                self.judge(moving, moving.armed, job, step)
+            except Refuse:
+                # As it was armed it is within the budget.
+                moving.sooner_ns, moving.slip_ns, moving.budget = 0, 0, budget
+        moving.t0_fleet_ns -= moving.sooner_ns
+
     # Inside
+
+    def _sooner(self, moving: Moving, now_ns: int, promise_ns: int) -> tuple[int, int]:
+        """How much sooner it can begin, and how far that is at the most from a whole number of anybody's ticks: by
+        whole ticks nothing of what is armed changes. Nothing where a member can not, or where a line starts them."""
+        proposals = moving.proposals.values()
+        if moving.line is not None or not all(each.sooner for each in proposals):
+            return 0, 0
+        # A machine that was slow to promise a moment ago will be slow to go.
+        needs_ns = max(self.pace.go_ns(len(moving.proposals)), SLOW_GO * promise_ns) + moving.disarm_ns
+        spare_ns = max(0, moving.t0_fleet_ns - now_ns - needs_ns)
+        ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
+        if not ticks_ns:
+            return spare_ns, 0
+        shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
+        tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
+        count = min(spare_ns // tick_ns, SLIP * tick_ns / off_ns if off_ns else inf) // 1
+        # Instants are whole nanoseconds.
+        return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
 
     async def _line(self, wire: Wire, moving: Moving) -> LineStart | None:
         """The line by `wire`, if it leads to members that can wait for it and its driver is there."""
@@ -246,7 +280,9 @@ def _sums(terms: Iterable[Term]) -> tuple[int, int]:
 
 
 def _window(moving: Moving, member: str, terms: list[Term]) -> Window:
-    shift_ns = moving.shift_ns(member)
+    shift_ns, slip_ns = moving.shift_ns(member), moving.slip_ns
+    if slip_ns and moving.proposals[member].tick_ns:
+        terms = [*terms, Term(name="slip", earliest_ns=-slip_ns, latest_ns=slip_ns)]
     if shift_ns:
         terms = [Term(name="line", earliest_ns=shift_ns, latest_ns=shift_ns), *terms]
     line = moving.line

@@ -40,7 +40,8 @@ PARTS = {
 
 
 class DispatchFigures(NamedTuple):
-    """first_motion: of any axis, after the submission. lead: from the arming to T0. virtual_ms, virtual_path_ms: the
+    """first_motion: of any axis, after the submission. lead: from when T0 was settled, all being armed and having
+    promised, to T0; armed_to_t0: from the beginning of the arming. virtual_ms, virtual_path_ms: the
     same in virtual time, and what wire and firmware need of it: to the last answer to `go`, and from there the samples
     before a start in which an SMC-4000 takes no release any more. simulators_cpu: their share of the processor time
     that all processes used."""
@@ -48,6 +49,7 @@ class DispatchFigures(NamedTuple):
     controllers: int
     first_motion: Spread
     lead: Spread
+    armed_to_t0: Spread
     parts: dict[str, Spread]
     virtual_ms: float
     virtual_lead_ms: float
@@ -57,10 +59,11 @@ class DispatchFigures(NamedTuple):
 
 
 class _Round(NamedTuple):
-    """ns: from the submission to the first motion; from arming to T0; each part."""
+    """ns: from the submission to the first motion; from the settling of T0, and from the arming, to T0; each part."""
 
     first_ns: int
     lead_ns: int
+    armed_to_t0_ns: int
     parts: dict[str, int]
 
 
@@ -105,13 +108,14 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
                 raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
             first_ns = min(await asyncio.gather(*(truth.after("start", asked_ns) for truth in truths)))
             parts = _parts((await tutti.show(job)).transitions, accepted_ns)
-            found.append(_Round(first_ns - asked_ns, _lead_ns(report), parts))
+            found.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
         sims_s, all_s = (after - before for before, after in zip(used_s, _cpu_s(live), strict=True))
     counted = found[KEPT + 1 :]
     return DispatchFigures(
         controllers=len(fleet.controllers),
         first_motion=spread([each.first_ns for each in counted], p99_ms=P99_MS),
         lead=spread([each.lead_ns for each in counted], max_ms=LEAD_MS),
+        armed_to_t0=spread([each.armed_to_t0_ns for each in counted]),
         parts={name: spread([each.parts[name] for each in counted]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
@@ -138,7 +142,7 @@ async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
         report = await job.result()
         first_ns = min(each.motions[before[name]].start_ns for name, each in virtual.controllers.items())
         parts = _parts((await job.show()).transitions, accepted_ns)
-        rounds.append(_Round(first_ns - asked_ns, _lead_ns(report), parts))
+        rounds.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
     means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
     return rounds[-1]._replace(parts=means)
 
@@ -152,10 +156,11 @@ def _job(fleet: Fleet, way: int) -> Job:
     return Job.model_validate({"schema": "tutti.job/1", "name": "dispatch", "max_start_skew": "50 ms", "steps": steps})
 
 
-def _lead_ns(report: JobReport) -> int:
+def _leads_ns(report: JobReport) -> tuple[int, int]:
+    """T0 after it was settled, and after the beginning of the arming."""
     step = report.steps[0]
-    assert step.t0_fleet_ns is not None and step.arming_fleet_ns is not None
-    return step.t0_fleet_ns - step.arming_fleet_ns
+    assert step.t0_fleet_ns is not None and step.settled_fleet_ns is not None and step.arming_fleet_ns is not None
+    return step.t0_fleet_ns - step.settled_fleet_ns, step.t0_fleet_ns - step.arming_fleet_ns
 
 
 def _parts(transitions: list[Transition], accepted_ns: int) -> dict[str, int]:

@@ -221,7 +221,8 @@ class Judge:
     def _judge_promise(self, go: Asked, member: str, before: Sequence[Asked]) -> None:
         """Invariant 1: `member` was armed, and has promised, before anybody was told to go."""
         last: dict[str, Asked] = {each.verb: each for each in before if each.member == member}
-        shift_ns = abs(last["arm"].said["t0_fleet_ns"] - go.said["t0_fleet_ns"])
+        begins_ns = go.said["t0_fleet_ns"] + go.said["sooner_ns"]
+        shift_ns = abs(last["arm"].said["t0_fleet_ns"] - begins_ns)
         for verb in ("arm", "commit"):
             each = last.get(verb)
             kept = each is not None and each.taken and each.answered_ns is not None and each.answered_ns <= go.asked_ns
@@ -229,7 +230,8 @@ class Judge:
                 self.violate("1", f"{go.member} was told to go for {go.step}, and {member} had not answered {verb}")
         if "commit" in last and last["commit"].promise != last["arm"].promise:
             self.violate("1", f"{member} was armed for {last['arm'].promise} and promised {last['commit'].promise}")
-        if shift_ns > WINDOW_NS:  # members behind a line begin at instants of their own
+        # Members behind a line begin at instants of their own.
+        if shift_ns > (0 if member == go.member else WINDOW_NS):
             self.violate("1", f"{member} was armed for another T0 than {go.member}, by {shift_ns / NS_PER_MS:g} ms")
 
     def _judge_jobs(self, act: Act, reports: Mapping[str, JobReport | None]) -> None:

@@ -65,7 +65,7 @@ class Witness:
 
     def ask(self, key: str, payload: bytes) -> list[Asked]:
         """A request goes out, to one member or several of a host."""
-        *_, kind, name, cmd, verb = ("", "", "", *key.split("/"))
+        *_, kind, name, cmd, verb = ["", "", "", *key.split("/")]
         if cmd != "cmd" or verb not in _SEEN:
             return []
         texts = json.loads(payload)["requests"] if kind == "host" else {name: payload}

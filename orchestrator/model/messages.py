@@ -150,7 +150,7 @@ class Propose(StepRef):
 class Term(Model):
     """One term of a budget: the start lies between T0 + earliest_ns and T0 + latest_ns because of it."""
 
-    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "line", "input"]
+    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "slip", "line", "input"]
     earliest_ns: Int53
     latest_ns: Int53
 
@@ -167,6 +167,7 @@ class Proposal(Reply):
     terms: list[Term] = Field(default=[])
     edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
     clock_ppm: float = Field(default=100.0, description="How far off the unit's durations may be, guaranteed.")
+    sooner: bool = Field(default=False, description="Whether it can be told to begin sooner than it was armed for.")
     commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
 
 
@@ -192,7 +193,7 @@ class Armed(Reply):
 
 
 class Commit(StepRef):
-    """Promise to start at T0 if `go` comes."""
+    """Promise to start at T0 if `go` comes; who can begin `sooner` promises every T0 before it by whole ticks, too."""
 
     t0_fleet_ns: Int53
 
@@ -200,16 +201,25 @@ class Commit(StepRef):
 class Go(StepRef):
     """Every member has promised: begin at T0.
 
-    slack_ns: how much later than it has promised a member may begin all the same, because the job allows more than was
-    promised; who could only be later still does not begin.
+    sooner_ns: by how much that is before the T0 that it was armed for, a whole number of the member's ticks (`tick_ns`
+    of its proposal, if it has any); only for who has said that it can (`sooner`). slack_ns: how much later than it has
+    promised a member may begin all the same, because the job allows more than was promised; who could only be later
+    still does not begin.
     """
 
     t0_fleet_ns: Int53
+    sooner_ns: Int53 = 0
     slack_ns: Int53 = 0
 
 
 class Disarm(StepRef):
     """Unload; nothing starts."""
+
+
+class Disarmed(Reply):
+    """begun: who was released already was told to stop so late that it may have begun before."""
+
+    begun: bool = False
 
 
 StopMode = Literal["decelerate", "abort", "hold"]

@@ -39,11 +39,12 @@ class Segment(NamedTuple):
 
 
 class _Integrated:
-    """Room for what a profile's segments have once come to."""
+    """Room for what has once been worked out of a profile."""
 
-    __slots__ = ("_segments",)
+    __slots__ = ("_peak_velocity", "_segments")
 
     _segments: list[Segment]
+    _peak_velocity: float
 
 
 # Not frozen, though nobody changes one: a plan of 64 axes makes 64 of these, and freezing would double their cost.
@@ -115,7 +116,15 @@ class Profile(_Integrated):
 
     @property
     def peak_velocity(self) -> float:
-        """The largest speed, counts/s. It lies at a segment's ends, or where the acceleration passes zero."""
+        """The largest speed, counts/s."""
+        try:
+            return self._peak_velocity
+        except AttributeError:
+            self._peak_velocity = self._fastest()
+            return self._peak_velocity
+
+    def _fastest(self) -> float:
+        """The largest speed lies at a segment's ends, or where the acceleration passes zero."""
         speed = 0.0
         for _, t, _, v, a, j in self.segments:
             speed = max(speed, abs(v), abs(v + t * (a + t * j / 2)))

@@ -119,7 +119,10 @@ class Held(Model):
 
 
 class StepReport(Model):
-    """What one step did. One that was held inside says of its last part how it went, and when it was held before."""
+    """What one step did. One that was held inside says of its last part how it went, and when it was held before.
+
+    arming_fleet_ns: when its last arming began. settled_fleet_ns: when T0 was settled, all having promised.
+    """
 
     index: int
     do: str
@@ -129,6 +132,7 @@ class StepReport(Model):
     planned_s: float | None = None
     actual_s: float | None = None
     arming_fleet_ns: Int53 | None = None
+    settled_fleet_ns: Int53 | None = None
     t0_fleet_ns: Int53 | None = None
     members: dict[str, MemberReport] = Field(default={})
     budget: Budget | None = None
