@@ -20,6 +20,7 @@ from adapters.seat import Seat
 from adapters.store import Remembered
 from orchestrator.bus.answers import Answers
 from orchestrator.bus.base import RequestRefused, Sample
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.trace import Direction
 from orchestrator.model.fleet import Controller
@@ -55,6 +56,8 @@ from orchestrator.model.messages import (
     TraceReply,
 )
 from orchestrator.model.units import UnitError, parse_quantity
+
+BEGINS_SOON_NS = 300 * NS_PER_MS
 
 
 class UnitActions(Protocol):
@@ -168,9 +171,11 @@ class Commands:
         reply = await self._parts.member.go(request)
         ticket = self._parts.member.ticket
         if ticket is not None:
-            # It is polled as one that moves from T0 on: that it has started must not be seen a slow poll later. Before,
-            # others are still told to go, and wait for the link and this host.
-            self._seat.clock.call_at_ns(ticket.t0_host_ns, self._unit.poke)
+            # It is polled as one that moves from here on: that it has started must not be seen a slow poll later. Where
+            # it begins soon, only from T0 on: before, others are still told to go, and wait for this host.
+            clock = self._seat.clock
+            far = ticket.t0_host_ns - clock.now_ns() > BEGINS_SOON_NS
+            clock.call_at_ns(clock.now_ns() if far else ticket.t0_host_ns, self._unit.poke)
         return reply
 
     async def _stop(self, request: Stop) -> Reply:

@@ -9,7 +9,6 @@ from orchestrator.bus.base import BusError
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.disk import Runs, beside
-from orchestrator.coordinator.budget import judge, skew
 from orchestrator.coordinator.journal import Journal
 from orchestrator.coordinator.members import ANSWER_S, Members
 from orchestrator.coordinator.moving import Moving
@@ -17,6 +16,7 @@ from orchestrator.coordinator.permits import Permits
 from orchestrator.coordinator.proposing import Proposing, start_ways
 from orchestrator.coordinator.recorder import Recorder
 from orchestrator.coordinator.reign import Throne
+from orchestrator.coordinator.step_report import member_report, narrowed, step_report
 from orchestrator.coordinator.targets import Refuse, refuse, resolve
 from orchestrator.coordinator.view import FleetView
 from orchestrator.model.job import Job, Move
@@ -32,8 +32,8 @@ from orchestrator.model.messages import (
     Stop,
     StopMode,
 )
-from orchestrator.model.report import JobState, MemberReport, StepReport
-from orchestrator.model.state import AxisEvidence, AxisState, ControllerState, Event, Info, Interval
+from orchestrator.model.report import JobState, StepReport
+from orchestrator.model.state import AxisState, ControllerState, Event, Info
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import Targets, plan_step
 
@@ -206,7 +206,7 @@ class Motion:
                 await beside(on_state("arming", ""), self._arm(moving, step))
                 await self._judge_frozen(moving, job, step)
                 await self._require_time(moving, "arming took longer than was allowed for")
-                await self._release(moving, job, step, on_state)
+                await self._release(moving, job, step, on_state, sooner=growth is None and not step.align)
             except Refuse as refused:
                 # Who does not answer may be busy.
                 if refused.refusal.code not in LATE or not moving.unloaded:
@@ -231,9 +231,10 @@ class Motion:
         job: Job,
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
+        sooner: bool,
     ) -> None:
         """Have all promise, settle T0, write down that they go, and let them. Raises `Refuse`: all are unloaded or
-        stopped."""
+        stopped. sooner: what is left of the lead need not be waited for."""
         armed_ns = self._clock.now_ns()
         await beside(on_state("armed", ""), self._commit(moving))
         if moving.held_by is not None:
@@ -251,7 +252,7 @@ class Motion:
             pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
         moving.settled_fleet_ns = self._throne.fleet_now_ns()
-        if not step.align:
+        if sooner:
             self._proposing.settle(moving, job, step, moving.settled_fleet_ns, promised_ns - armed_ns)
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
@@ -370,7 +371,7 @@ class Motion:
         settling = [self._view.fleet.axis(axis) for axis in moving.plan.profiles]
         settle_s = max((axis.in_position_timeout_s for axis in settling if axis.done == "in_position"), default=0.0)
         ends_ns = moving.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
-        reports = {member: self._member_report(moving, member) for member in moving.proposals}
+        reports = {member: member_report(moving, member) for member in moving.proposals}
         failure: tuple[str, str] | None = None
         held = False
         while waiting_end and failure is None:
@@ -380,7 +381,7 @@ class Motion:
                 ends = event.kind == "done" or (event.kind == "stopped" and moving.held_by is not None)
                 if event.kind == "started" or ends:
                     waiting_start.discard(member)
-                    evidence = {axis: self._narrowed(moving, member, each) for axis, each in event.evidence.items()}
+                    evidence = {axis: narrowed(moving, member, each) for axis, each in event.evidence.items()}
                     reports[member] = reports[member].model_copy(update={"evidence": evidence})
                 if ends:
                     waiting_end.discard(member)
@@ -390,7 +391,7 @@ class Motion:
             failure = failure or self._overdue(moving, waiting_start, waiting_end, ends_ns)
         if held and failure is None:
             by = f"held by {moving.held_by}"
-            report = self._report(moving, step, reports, ("stopped", by))
+            report = step_report(moving, step, reports, ("stopped", by))
             return report.model_copy(update={"refused": Refusal(code=HELD, text=by)})
         if failure is not None:
             await self.stop(moving.movers, "decelerate", moving.actor, failure[1])
@@ -398,7 +399,7 @@ class Motion:
                 # It may be moving for another job.
                 disarm = Disarm(**self._ref(moving))
                 await self._members.ask(moving.line.driver, "disarm", disarm, Reply, ANSWER_S)
-        return self._report(moving, step, reports, failure)
+        return step_report(moving, step, reports, failure)
 
     def _overdue(
         self, moving: Moving, waiting_start: set[str], waiting_end: set[str], ends_ns: int
@@ -433,64 +434,6 @@ class Motion:
         # Members that were armed anew have said before that they are disarmed.
         stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < moving.arming_fleet_ns
         return event if about and not stale else None
-
-    def _narrowed(self, moving: Moving, member: str, evidence: AxisEvidence) -> AxisEvidence:
-        """With the start by both, where the controller's evidence says less than what the member has promised, e.g.
-        because a serial adapter holds answers back. Where they disagree, something was outside the model."""
-        window = moving.budget.members.get(member) if moving.budget is not None else None
-        said_ns = evidence.start.latest_ns - evidence.start.earliest_ns
-        if window is None or said_ns <= window.latest_ns - window.earliest_ns:
-            return evidence
-        earliest_ns = max(evidence.start.earliest_ns, moving.t0_fleet_ns + window.earliest_ns)
-        latest_ns = min(evidence.start.latest_ns, moving.t0_fleet_ns + window.latest_ns + evidence.late_ns)
-        if earliest_ns > latest_ns:
-            return evidence
-        return evidence.model_copy(update={"modelled": Interval(earliest_ns=earliest_ns, latest_ns=latest_ns)})
-
-    def _member_report(self, moving: Moving, member: str) -> MemberReport:
-        proposal, armed = moving.proposals[member], moving.armed[member]
-        profiles = moving.profiles(member)
-        return MemberReport(
-            start_class=proposal.start_class,
-            axes=list(profiles),
-            armed_in_ns=armed.took_ns,
-            stages_ns=armed.stages_ns,
-            mapping=armed.mapping,
-            planned_s={axis: profile.duration_s for axis, profile in profiles.items()},
-            lowered_s=armed.durations_s,
-        )
-
-    def _report(
-        self, moving: Moving, step: Move, reports: dict[str, MemberReport], failure: tuple[str, str] | None
-    ) -> StepReport:
-        evidence = [each for report in reports.values() for each in report.evidence.values()]
-        starts = [each.judged_start for each in evidence]
-        ends = [each.end for each in evidence if each.end is not None]
-        complete = len(starts) == len(moving.plan.profiles)
-        start_skew = skew(starts, moving.budget) if complete else None
-        end_skew = skew(ends) if len(ends) == len(moving.plan.profiles) else None
-        actual_s = None
-        if failure is None and ends:
-            first_ns = min((each.earliest_ns + each.latest_ns) // 2 for each in starts)
-            last_ns = max((each.earliest_ns + each.latest_ns) // 2 for each in ends)
-            actual_s = (last_ns - first_ns) / NS_PER_S
-        return StepReport(
-            index=moving.index,
-            do="move",
-            name=step.name or "",
-            state="done" if failure is None else "stopped" if failure[0] == "stopped" else "failed",
-            reason="" if failure is None else failure[1],
-            planned_s=moving.plan.duration_s,
-            actual_s=actual_s,
-            arming_fleet_ns=moving.arming_fleet_ns,
-            settled_fleet_ns=moving.settled_fleet_ns,
-            t0_fleet_ns=moving.t0_fleet_ns,
-            members=reports,
-            budget=moving.budget,
-            start_skew=start_skew,
-            end_skew=end_skew,
-            verdict=judge(start_skew, moving.budget),
-        )
 
     async def stop(self, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
         """Stop members, all at once; who does not answer is asked again, and logged in the end."""

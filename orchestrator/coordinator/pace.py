@@ -68,7 +68,7 @@ class Pace:
         self._releases_ns.add(min(promise_ns + self._goes_ns.slowest, 2 * self.margin_ns(members)))
 
     def late_to_go(self, members: int) -> None:
-        """Somebody has not gone in the time that is given for it. A step has failed by that: the next is given more."""
+        """Somebody has not gone in the time that is given for it: the next is given more."""
         before_ns, given_ns = self._goes_ns.slowest, self.go_ns(members)
         self._goes_ns.add(given_ns if self._goes_ns.known else GO_ROOM * given_ns)
         self._releases_ns.add(self._releases_ns.slowest + self._goes_ns.slowest - before_ns)

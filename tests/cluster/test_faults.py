@@ -210,7 +210,7 @@ def test_who_was_told_to_go_is_stopped_before_it_begins_when_its_link_is_closed(
         before = len(fleet.controllers["gantry"].motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
-        await asyncio.sleep(0.1)  # of nearly three tenths
+        await asyncio.sleep(0.02)  # of some ninety milliseconds
         for link in list(fleet.wires["gantry"].links):
             link.hang_up()
         assert (await client.wait(job_id)).state == "failed"

@@ -28,7 +28,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
             return t0_ns - asked_ns
 
         waits = [await waited_ns(k) for k in range(KNOWN + 2)]
-        assert min(waits[:KNOWN]) - waits[-1] > 100 * NS_PER_MS
+        assert min(waits[:KNOWN]) - waits[-1] > 40 * NS_PER_MS
         # The network becomes slow: what was known is wrong, and the declared times count.
         for wire in fleet.wires.values():
             wire.model = replace(wire.model, latency_ns=3 * NS_PER_MS)
@@ -98,7 +98,7 @@ def test_go_that_was_too_slow_is_given_more_and_the_lead_has_room_for_it(steps: 
     for _ in range(10):
         given_ns = pace.go_ns(2)
         pace.late_to_go(2)
-        assert given_ns * 1.4 < pace.go_ns(2) < given_ns * 1.6
+        assert pace.go_ns(2) == pytest.approx(GO_ROOM * given_ns, rel=0.01)
         assert pace.margin_ns(2) > pace.go_ns(2) + 5 * NS_PER_MS
         assert pace.margin_ns(2, known=False) >= pace.go_ns(2) + MARGIN_NS // 2
 

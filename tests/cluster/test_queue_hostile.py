@@ -240,11 +240,12 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
         held = await client.submit(SHORT, terms=Terms(held=True))
         before = fleet.controllers["gantry"].position("Y")
-        take, taken = LeaseBook.take, asyncio.Event()
+        take, taken, released = LeaseBook.take, asyncio.Event(), asyncio.Event()
 
         async def take_as_the_disk_fails(leases: LeaseBook, *who: Any) -> Any:
             axes = await take(leases, *who)
             if not begun and not taken.is_set():
+                await released.wait()
                 db.execute("PRAGMA query_only=ON")
             taken.set()
             return axes
@@ -252,6 +253,7 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
         monkeypatch.setattr(LeaseBook, "take", take_as_the_disk_fails)
         blocked = await client.submit(job("[{do: dwell, duration: 2 s}, {do: move, by: {gantry.y: 1}}]"))
         await client.release(held)
+        released.set()
         while begun and (await blocked.show()).transitions[-1].state != "running":
             await asyncio.sleep(0.01)
         await taken.wait()

@@ -121,6 +121,7 @@ class Together(Driver):
             parts=parts,
             edge=first.edge,
             clock_ppm=max(each.clock_ppm for each in every),
+            sooner=all(each.sooner for each in every),
         )
 
     async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
@@ -134,8 +135,8 @@ class Together(Driver):
     async def verify(self) -> None:
         await at_once(each.verify() for each in self._members)
 
-    async def go(self, slack_ns: int = 0) -> None:
-        await at_once(each.go(slack_ns) for each in self._members)
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
+        await at_once(each.go(slack_ns, sooner_ns) for each in self._members)
 
     async def disarm(self) -> None:
         await at_once(each.disarm() for each in self._drivers)

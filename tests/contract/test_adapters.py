@@ -82,6 +82,34 @@ def test_a_step_does_what_was_lowered_and_its_evidence_holds_the_truth(name: str
     run(name, main, seed, ppm)
 
 
+@pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
+def test_a_step_can_begin_sooner_than_it_was_armed_for(name: str, ppm: float) -> None:
+    async def main(world: World) -> None:
+        await world.ready(60)
+        for factor in (1.0, -0.4):
+            before = len(world.motions)
+            profiles = await world.plan(targets(world, factor))
+            lowered, armed_for_ns = await world.arm(profiles)
+            if not lowered.sooner:
+                pytest.skip("this make begins when it was armed to")
+            tick_ns = lowered.tick_ns or 1.0
+            sooner_ns = round(100 * NS_PER_MS // tick_ns * tick_ns)
+            await world.driver.verify()
+            await world.driver.go(0, sooner_ns)
+            started, outcome = await world.driver.started(), await world.driver.outcome()
+            assert outcome.state == "done", outcome
+            made = motions(world, before)
+            evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
+            evidence_holds(world, outcome.ended, {axis: made[axis].end_ns for axis in made}, "end")
+            earliest_ns = sum(term.earliest_ns for term in lowered.terms) - 1
+            latest_ns = sum(term.latest_ns for term in lowered.terms) + 1
+            for axis, motion in made.items():
+                assert earliest_ns <= motion.start_ns - (armed_for_ns - sooner_ns) <= latest_ns
+                assert motion.end_counts == profiles[axis].end_counts
+
+    run(name, main, 0, ppm)
+
+
 def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 import pytest
 
 from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
-from adapters.member import Member, Phase, Ticket
+from adapters.member import STOPS_NS, Member, Phase, Ticket
 from adapters.settling import Settled
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
@@ -18,6 +18,7 @@ from orchestrator.model.messages import Arm, Commit, Disarm, Go
 from orchestrator.model.state import Costs, EventKind
 
 T0_NS = 1 * NS_PER_S
+SOONER_NS = NS_PER_S // 10
 NEXT_T0_NS = 2 * NS_PER_S
 COSTS = Costs(arm_ns=1, disarm_ns=1, stop_ns=1)
 DEAF = DriverFault("no-answer", "go was not answered", "")
@@ -32,13 +33,16 @@ class Scripted:
         self.begun: asyncio.Future[Mapping[str, Span]] = loop.create_future()
         self.rested: asyncio.Future[Outcome] = loop.create_future()
         self.refuses_go: Exception | None = None
+        self.may_go = asyncio.Event()
+        self.may_go.set()
+        self.sooner = True
         self.closed = False
 
     def mapping(self) -> None:
         return None
 
     def lower(self, *_: object) -> Lowered:
-        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, ())
+        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), sooner=self.sooner)
 
     async def arm(self, *_: object) -> dict[str, int]:
         self.told.append("arm")
@@ -47,8 +51,9 @@ class Scripted:
     async def verify(self) -> None:
         self.told.append("verify")
 
-    async def go(self, slack_ns: int = 0) -> None:
-        self.told.append("go")
+    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
+        self.told.append(f"go {sooner_ns} ns sooner" if sooner_ns else "go")
+        await self.may_go.wait()
         if self.refuses_go is not None:
             raise self.refuses_go
 
@@ -104,11 +109,11 @@ class Desk:
     async def arm(self, step: int, t0_ns: int) -> None:
         await self.member.arm(Arm(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
 
-    async def go(self, step: int = 0, t0_ns: int = T0_NS) -> None:
-        """Armed, promised and released."""
+    async def go(self, step: int = 0, t0_ns: int = T0_NS, sooner_ns: int = 0) -> None:
+        """Armed, promised and released, for `sooner_ns` before what it was armed for."""
         await self.arm(step, t0_ns)
         await self.member.commit(Commit(**self._ref(step), t0_fleet_ns=t0_ns))
-        await self.member.go(Go(**self._ref(step), t0_fleet_ns=t0_ns))
+        await self.member.go(Go(**self._ref(step), t0_fleet_ns=t0_ns - sooner_ns, sooner_ns=sooner_ns))
 
     async def later(self, seconds: float = 0.01) -> None:
         await sleep_ns(self.clock, round(seconds * NS_PER_S))
@@ -127,6 +132,53 @@ def run(body: Callable[[Desk], Coroutine[Any, Any, None]]) -> None:
         await body(Desk(clock))
 
     run_virtual(main)
+
+
+def test_go_may_be_for_sooner_than_was_promised() -> None:
+    async def body(desk: Desk) -> None:
+        await desk.go(sooner_ns=SOONER_NS)
+        assert desk.driver.told == ["arm", "verify", f"go {SOONER_NS} ns sooner"]
+        ticket = desk.member.ticket
+        assert ticket is not None and ticket.phase is Phase.RELEASED
+        assert ticket.t0_fleet_ns == ticket.t0_host_ns == T0_NS - SOONER_NS
+
+    run(body)
+
+
+@pytest.mark.parametrize(
+    ("can", "sooner_ns", "code"), [(False, SOONER_NS, "not-sooner"), (True, -1, "not-sooner"), (True, T0_NS, "late")]
+)
+def test_who_can_not_begin_sooner_says_so_and_keeps_its_promise(can: bool, sooner_ns: int, code: str) -> None:
+    async def body(desk: Desk) -> None:
+        desk.driver.sooner = can
+        with pytest.raises(CannotDo) as caught:
+            await desk.go(sooner_ns=sooner_ns)
+        assert caught.value.refusal.code == code and desk.driver.told == ["arm", "verify"]
+        await desk.member.go(Go(**desk._ref(0), t0_fleet_ns=T0_NS))
+        assert desk.driver.told[2:] == ["go"]
+
+    run(body)
+
+
+@pytest.mark.parametrize(("before_ns", "begun"), [(2 * STOPS_NS, False), (STOPS_NS, True)])
+def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_it_may_have_begun(
+    before_ns: int, begun: bool
+) -> None:
+    async def body(desk: Desk) -> None:
+        desk.driver.may_go.clear()
+        going = asyncio.ensure_future(desk.go())
+        await sleep_ns(desk.clock, T0_NS - before_ns)
+        unloading = asyncio.ensure_future(desk.member.disarm(Disarm(**desk._ref(0))))
+        await desk.later(0.001)
+        assert desk.driver.told[2:] == ["go", "stop"] and not unloading.done()
+        desk.driver.may_go.set()
+        with pytest.raises(CannotDo) as caught:
+            await going
+        assert caught.value.refusal.code == "stopped"
+        assert (await unloading).begun is begun
+        assert desk.driver.told[-1] == "disarm" and desk.member.ticket is None and desk.said == ["disarmed"]
+
+    run(body)
 
 
 def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:

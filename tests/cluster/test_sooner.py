@@ -1,0 +1,153 @@
+"""T0 is settled when all have promised: what arming was given and has not taken, a step begins sooner, by whole ticks,
+and as exactly as it promises. Who is late to go is armed again, as long as nobody has begun."""
+
+import json
+from typing import Any, cast
+
+import pytest
+from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
+
+from adapters.member import STOPS_NS, Member
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.coordinator.moving import Moving
+from orchestrator.coordinator.pace import KNOWN
+from orchestrator.coordinator.proposing import SLIP, SLOW_GO, Proposing
+from orchestrator.lab.sync_fleets import sync_fleet
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.files import load_fleet
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import Go, Proposal, Reply
+from orchestrator.model.report import StepReport
+
+
+async def prepared(fleet: VirtualFleet, axes: list[str]) -> None:
+    steps = [{"do": "enable", "axes": axes}, {"do": "home", "axes": axes}]
+    assert (await outcome(fleet, job(json.dumps(steps)))).state == "done"
+
+
+async def moved(fleet: VirtualFleet, axes: list[str], way: float, **more: object) -> StepReport:
+    step = {"do": "move", "by": dict.fromkeys(axes, way), **more}
+    report = await outcome(fleet, job(json.dumps([step]), max_start_skew="50 ms"))
+    assert report.state == "done", report.reason
+    return report.steps[-1]
+
+
+@pytest.fixture
+def sooner_ns(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """By how much each step has begun sooner than it was armed for."""
+    found: list[int] = []
+    settle = Proposing.settle
+
+    def noted(self: Proposing, moving: Moving, *rest: object) -> None:
+        settle(self, moving, *rest)  # pyright: ignore[reportArgumentType]
+        found.append(moving.sooner_ns)
+
+    monkeypatch.setattr(Proposing, "settle", noted)
+    return found
+
+
+def begins_as_promised(fleet: VirtualFleet, step: StepReport) -> None:
+    """Every member has begun where the budget of the step says, about the T0 that it tells."""
+    assert step.budget is not None and step.t0_fleet_ns is not None
+    for member, window in step.budget.members.items():
+        after_ns = fleet.controllers[member].motions[-1].start_ns - origin_host_ns(fleet) - step.t0_fleet_ns
+        assert window.earliest_ns <= after_ns <= window.latest_ns, (member, after_ns, window)
+
+
+@pytest.mark.parametrize(
+    ("name", "axes", "way"),
+    [
+        ("2 SMC-4000", ["a0.x", "a1.x"], 20.0),
+        ("mixed with pp", ["e1.x", "e2.x"], 1000.0),
+        ("mixed", ["a1.x", "c1.x"], 10.0),
+        ("mixed", ["c1.x", "c2.x"], 10.0),
+    ],
+)
+def test_a_step_begins_as_soon_as_all_can(name: str, axes: list[str], way: float, sooner_ns: list[int]) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet, axes)
+        for k in range(4):
+            begins_as_promised(fleet, await moved(fleet, axes, -way if k % 2 else way))
+        # One that had to be armed again begins when it was armed to then.
+        assert sooner_ns and max(sooner_ns) > 20 * NS_PER_MS
+
+    run_fleet(main, sync_fleet(name, 1))
+
+
+@pytest.mark.parametrize(
+    ("whole", "axes", "more"),
+    [
+        (load_fleet(EXAMPLES / "all.fleet.yaml"), ["gantry.x", "arm.r"], {}),
+        (sync_fleet("8 SMC-2000, own ports", 1), ["b0.x", "b1.x"], {}),
+        (sync_fleet("mixed, lines", 1), ["a1.x", "c1.x", "d1.x"], {"start": "line"}),
+        (sync_fleet("2 SMC-4000", 1), ["a0.x", "a1.x"], {"align": "1 s"}),
+    ],
+    ids=["a drive that SYNC starts", "a slow line", "a wired line", "ticks that were looked for"],
+)
+def test_who_begins_when_it_was_armed_to(
+    whole: Fleet, axes: list[str], more: dict[str, str], sooner_ns: list[int]
+) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet, axes)
+        for k in range(2):
+            begins_as_promised(fleet, await moved(fleet, axes, -10.0 if k % 2 else 10.0, **more))
+        assert not any(sooner_ns)
+
+    run_fleet(main, whole)
+
+
+def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() -> None:
+    tick_ns, promise_ns = 976_562.5, 300 * NS_PER_MS
+    asking = Proposing(cast(Any, None), cast(Any, None))
+    for _ in range(KNOWN):
+        asking.pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
+    spare_ns = NS_PER_S - asking.pace.go_ns(2)
+
+    def sooner(*ticks_ns: float, promise_ns: int = 0, sooner: bool = True) -> tuple[int, int]:
+        proposals = {name: Proposal(sooner=sooner, tick_ns=each) for name, each in zip("ab", ticks_ns, strict=True)}
+        moving = Moving("j", 0, "a", cast(Any, None), cast(Any, None), proposals=proposals, t0_fleet_ns=2 * NS_PER_S)
+        return asking._sooner(moving, NS_PER_S, promise_ns)  # pyright: ignore[reportPrivateUsage]
+
+    assert sooner(0.0, 0.0) == (spare_ns, 0)
+    assert sooner(0.0, 0.0, sooner=False) == (0, 0)
+    # Who was slow to promise is given as much more to go.
+    assert sooner(0.0, 0.0, promise_ns=promise_ns) == (NS_PER_S - SLOW_GO * promise_ns, 0)
+    assert sooner(tick_ns, 0.0) == (round(spare_ns // tick_ns * tick_ns), 1)
+    for ppm in (5.0, 50.0, 1000.0):
+        forward_ns, off_ns = sooner(tick_ns * (1 - ppm * 1e-6), tick_ns * (1 + ppm * 1e-6))
+        assert abs(forward_ns / tick_ns - round(forward_ns / tick_ns)) < 1e-5
+        assert ppm * 1e-6 * forward_ns <= off_ns <= SLIP * tick_ns + 2
+        # As far as there is time, or as a few hundredths of a tick allow.
+        assert min(spare_ns, SLIP * tick_ns / (ppm * 1e-6)) - forward_ns < 1.01 * tick_ns
+    assert sooner(1.1 * tick_ns, tick_ns) == (0, 0)
+
+
+@pytest.mark.parametrize("late_by_ms", [-50, 5])
+def test_who_is_late_to_go_is_armed_again_if_nobody_has_begun(monkeypatch: pytest.MonkeyPatch, late_by_ms: int) -> None:
+    """The decision is taken back, and the next one is the step's only one. Who may have begun is not moved again."""
+    go, slow = Member.go, ["stage"]
+
+    async def slowly(member: Member, request: Go) -> Reply:
+        reply = await go(member, request)
+        ticket = member.ticket
+        if member._controller in slow and ticket is not None:
+            slow.clear()
+            # It has been released, and only its answer is late.
+            await sleep_ns(member._clock, ticket.t0_host_ns - STOPS_NS - member._clock.now_ns())
+            await sleep_ns(member._clock, max(0, late_by_ms * NS_PER_MS + STOPS_NS))
+        return reply
+
+    async def main(fleet: VirtualFleet) -> None:
+        await prepared(fleet, ["gantry", "stage"])
+        monkeypatch.setattr(Member, "go", slowly)
+        starts = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        report = await outcome(fleet, job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms"))
+        assert not slow
+        made = {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()}
+        decided = fleet.journal.decisions(report.job_id)
+        assert report.state == "done" and made == {"gantry": 1, "stage": 1}, (report.reason, made)
+        assert decided == [(0, report.steps[0].t0_fleet_ns)]
+        assert any("arming again with more lead" in line for line in fleet.lines)
+        assert report.steps[0].t0_fleet_ns is not None and report.steps[0].settled_fleet_ns is not None
+
+    run_fleet(main)

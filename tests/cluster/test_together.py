@@ -1,0 +1,189 @@
+"""Several controllers of a host asked in one request: each answers for itself, and who is wrong or slow keeps nobody's
+answer from the others."""
+
+import asyncio
+import json
+from random import Random
+from typing import Any
+
+import pytest
+from cluster.test_queue_hostile import COMMANDS, HEAD, RAW, SHORT, ask, mutated
+from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
+
+from adapters.commands import Commands
+from adapters.member import Member
+from orchestrator.bus.base import RequestRefused
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.coordinator.members import Members
+from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.model.messages import Commit, EnableRequest, Reply, TogetherReply, TraceReply
+from orchestrator.model.messages import Request as Asked
+
+BOTH = job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms")
+TRACE = {**HEAD, "request_id": "t"}
+
+
+async def together(fleet: VirtualFleet, verb: str, requests: dict[str, Any], within_ms: int = 1000) -> TogetherReply:
+    texts = {name: each if isinstance(each, str) else json.dumps(each) for name, each in requests.items()}
+    payload = json.dumps({"requests": texts, "within_ns": within_ms * NS_PER_MS}).encode()
+    bus = fleet.client("asker").bus
+    try:
+        said = await bus.request(fleet.keys.together("local", verb), payload, timeout_s=5.0)
+        return TogetherReply.model_validate_json(said)
+    finally:
+        await bus.close()
+
+
+def members(fleet: VirtualFleet) -> Members:
+    coordinator: Coordinator = fleet.coordinators["first"][1]
+    return coordinator._members  # pyright: ignore[reportPrivateUsage]
+
+
+def enabling(fleet: VirtualFleet, **axes: list[str]) -> dict[str, Asked]:
+    fields = members(fleet).fields("tester")
+    return {name: EnableRequest(**fields, axes=each, holder="nobody", on=True) for name, each in axes.items()}
+
+
+@pytest.mark.parametrize("verb", ["stop", "commit", "lease", "nothing"])
+def test_no_payload_ends_a_host(verb: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        draw = Random(verb)
+        inner = json.dumps(HEAD | COMMANDS.get(verb, {}))
+        good = {"requests": {"gantry": inner, "stage": inner}, "within_ns": 10**9}
+        payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
+        # Broken inside, too: what one controller is asked.
+        payloads += [
+            json.dumps({**good, "requests": {"gantry": each.decode("latin-1"), "stage": inner}}).encode()
+            for each in (mutated(draw, HEAD | COMMANDS.get(verb, {})) for _ in range(25))
+        ]
+        for payload in payloads:
+            await ask(fleet, fleet.keys.together("local", verb), payload)
+        # Who was not waited for goes on: what stops a controller is to have come to its end.
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        await fleet.client().reset()
+        for each in (PREPARE, SHORT):
+            report = await outcome(fleet, each)
+            assert report.state == "done", report.reason
+
+    run_fleet(main)
+
+
+def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    trace = Commands._give_trace  # pyright: ignore[reportPrivateUsage]
+
+    async def broken(commands: Commands, request: Asked) -> TraceReply:
+        if commands._seat.controller == "stage":  # pyright: ignore[reportPrivateUsage]
+            raise KeyError("a defect")
+        return await trace(commands, request)
+
+    monkeypatch.setattr(Commands, "_give_trace", broken)
+
+    async def main(fleet: VirtualFleet) -> None:
+        faults: list[dict[str, Any]] = []
+        # In virtual time it would end the run.
+        monkeypatch.setattr(asyncio.get_running_loop(), "call_exception_handler", faults.append)
+        said = await together(fleet, "trace", {"gantry": TRACE, "stage": TRACE, "nobody": TRACE})
+        assert set(said.replies) == {"gantry"} and TraceReply.model_validate_json(said.replies["gantry"]).entries
+        assert "KeyError while answering trace for stage" in said.errors["stage"] and len(faults) == 1
+        assert set(said.took_ns) == {"gantry", "stage"}
+        said = await together(fleet, "trace", {"gantry": "{", "stage": {**HEAD, "more": 1}})
+        assert not said.replies and "trace: payload" in said.errors["gantry"] and "more" in said.errors["stage"]
+        with pytest.raises(RequestRefused, match="requests"):
+            await together(fleet, "trace", {})
+        said = await together(fleet, "nothing", {"gantry": TRACE})
+        assert "unknown verb 'nothing'" in said.errors["gantry"]
+
+    run_fleet(main)
+
+
+def test_who_is_slow_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    async def slow(commands: Commands, _: Asked) -> TraceReply:
+        made.append(commands._seat.controller)  # pyright: ignore[reportPrivateUsage]
+        if made[-1] == "stage":
+            await sleep_ns(commands._seat.clock, 300 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
+        return TraceReply(entries=[], utc="", host_ns=0)
+
+    monkeypatch.setattr(Commands, "_give_trace", slow)
+
+    async def main(fleet: VirtualFleet) -> None:
+        asked = {"gantry": TRACE, "stage": TRACE}
+        said = await together(fleet, "trace", asked, within_ms=100)
+        assert set(said.replies) == {"gantry"} == set(said.took_ns) and not said.errors
+        said = await together(fleet, "trace", asked)
+        assert set(said.replies) == {"gantry", "stage"} and sorted(made) == ["gantry", "stage"]
+        # What was answered is not done again, and the slow one had been at it for a tenth of a second already.
+        assert said.took_ns["gantry"] < 10 * NS_PER_MS < said.took_ns["stage"] < 250 * NS_PER_MS
+
+    run_fleet(main)
+
+
+def test_a_step_asks_each_host_once_a_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, ...]] = []
+    plain, common = Members._answer, Members._ask_together  # pyright: ignore[reportPrivateUsage]
+
+    async def alone(self: Members, member: str, verb: str, *rest: Any) -> Any:
+        asked.append((verb, member))
+        return await plain(self, member, verb, *rest)
+
+    async def with_others(self: Members, verb: str, requests: Any, *rest: Any) -> Any:
+        asked.append((verb, *requests))
+        return await common(self, verb, requests, *rest)
+
+    monkeypatch.setattr(Members, "_answer", alone)
+    monkeypatch.setattr(Members, "_ask_together", with_others)
+    stages = ["lease", "propose", "arm", "commit", "go", "lease"]
+
+    def run_on(hosts: dict[str, str], expected: list[tuple[str, ...]]) -> None:
+        whole = demo_fleet().to_plain()
+        for name, host in hosts.items():
+            whole["controllers"][name]["host"] = host
+
+        async def main(fleet: VirtualFleet) -> None:
+            await outcome(fleet, PREPARE)
+            asked.clear()
+            assert (await outcome(fleet, BOTH)).state == "done"
+            rounds = [each for k, each in enumerate(asked) if not (each[0] == "propose" and each in asked[:k])]
+            assert sorted(rounds) == sorted(expected)
+
+        run_fleet(main, type(demo_fleet()).model_validate(whole))
+
+    run_on({}, [(stage, "gantry", "stage") for stage in stages])
+    run_on({"stage": "other"}, [(stage, name) for stage in stages for name in ("gantry", "stage")])
+
+
+def test_what_a_host_does_not_say_is_a_refusal_that_names_the_member(monkeypatch: pytest.MonkeyPatch) -> None:
+    commit = Member.commit
+
+    async def silent(member: Member, request: Commit) -> Reply:
+        if member._controller == "stage":  # pyright: ignore[reportPrivateUsage]
+            await sleep_ns(member._clock, 500 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
+        return await commit(member, request)
+
+    monkeypatch.setattr(Member, "commit", silent)
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        asks = members(fleet)
+        said = await asks.ask_all("enable", enabling(fleet, gantry=["x"], stage=["u"]), Reply)
+        assert {each.refused.code for each in said.values() if each.refused} == {"not-leased"}
+        commits = {
+            name: Commit(**asks.fields("tester"), job="j", step=0, t0_fleet_ns=0) for name in ("gantry", "stage")
+        }
+        said = await asks.ask_all("commit", commits, Reply, 0.2)
+        codes = {name: each.refused.code for name, each in said.items() if each.refused}
+        assert codes == {"gantry": "not-armed", "stage": "no-answer"}
+        refused = said["stage"].refused
+        assert (
+            refused is not None and refused.member == "stage" and "has not answered commit within 0.2 s" in refused.text
+        )
+        said = await asks.ask_all("nothing", commits, Reply, 0.2)
+        assert {each.refused.code for each in said.values() if each.refused} == {"bad-request"}
+        fleet.kill("host/local")
+        said = await asks.ask_all("commit", commits, Reply, 0.2)
+        codes = {name: each.refused.code for name, each in said.items() if each.refused}
+        assert codes == {"gantry": "absent", "stage": "absent"}
+
+    run_fleet(main)
