@@ -75,7 +75,8 @@ class SerialSession(Session):
         given = list(commands)
         return (await self._told("\r".join(given), still))[1].sent_ns if given else 0
 
-    async def values(self, operands: Sequence[str], then: str) -> list[float]:
+    async def tell_and_read(self, commands: Sequence[str], operands: Sequence[str], then: str) -> list[float]:
+        await self.tell_all(commands)
         found: list[float] = []
         for at in range(0, len(operands), _OPERANDS_OF_LINE):
             found += (await self.numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]

@@ -85,16 +85,19 @@ class Session:
             self.unsolicited.extend(lines)
         return sent_ns
 
-    async def values(self, operands: Sequence[str], then: str) -> list[float]:
-        """The values of any number of operands, as `numbers` reads them, and `then` told behind them, in one go.
+    async def tell_and_read(self, commands: Sequence[str], operands: Sequence[str], then: str) -> list[float]:
+        """Settings, the values of any number of operands behind them, as `numbers` reads them, and `then` told behind
+        those, all in one go.
 
         Raises `Refused` for what is told.
         """
         parts = [operands[at : at + OPERANDS_OF_LINE] for at in range(0, len(operands), OPERANDS_OF_LINE)]
-        commands = [message(part) for part in parts]
+        messages = [message(part) for part in parts]
         found: list[float] = []
-        answered, _ = await self._ask_each([*commands, then])
-        for part, command, lines in zip(parts, commands, answered, strict=False):
+        answered, _ = await self._ask_each([*commands, *messages, then])
+        for lines in answered[: len(commands)]:
+            self.unsolicited.extend(lines)
+        for part, command, lines in zip(parts, messages, answered[len(commands) :], strict=False):
             self.unsolicited.extend(lines[:-1])
             found += parse_numbers("".join(lines[-1:]), len(part), command)
         return found

@@ -58,7 +58,7 @@ class Start:
     async def arm(self, lowered: LoweredMoves, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         """Load the registers, read them back, and send the program to its gate, where `verify` looks for it.
 
-        It is sent there behind the asking, without waiting for the answers: whatever they are, it goes no further.
+        All of that is told without waiting for the answers: whatever they are, the program goes no further.
         """
         if mapping is None:
             raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
@@ -78,34 +78,23 @@ class Start:
         phase = ticks + first - mapping.ticks(t0_ns)
         # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{DOG_THREAD}")
-        await self._load(
-            lowered, phase, mapping.tick_ns, (*shut, f"XT0={ticks}", f"XLI={_line(lowered)}", self._food(ticks))
-        )
-        wired_ns = self._clock.now_ns()
+        gate = (*shut, f"XT0={ticks}", f"XLI={_line(lowered)}", self._food(ticks))
+        if isinstance(lowered.load, Records):
+            await arrays.load(session, lowered.load.arrays(phase, mapping.tick_ns), lowered.load.packets)
         self._loaded = loaded
-        await self._read_back(lowered, f"XQ {entry(lowered.mask, isinstance(lowered.load, Records))},{STEP_THREAD}")
+        await self._load(lowered, gate, f"XQ {entry(lowered.mask, isinstance(lowered.load, Records))},{STEP_THREAD}")
         if drives is not None:
             await session.tell_all((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.hold_ticks}"))
             await session.tell(f"XQ #EDGE,{EDGE_THREAD}")
-        return {
-            "check": checked_ns - began_ns,
-            "wire": wired_ns - checked_ns,
-            "verify": self._clock.now_ns() - wired_ns,
-        }
+        return {"check": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
-    async def _load(self, lowered: LoweredMoves, phase: float, tick_ns: float, gate: Sequence[str]) -> None:
-        """Load the move, and with it what `gate` sets."""
-        session, load = self._device.session, lowered.load
-        if not isinstance(load, Records):
-            await session.tell_all((*gate, *load.commands))
-            return
-        await arrays.load(session, load.arrays(phase, tick_ns), load.packets)
-        variables = (f"{name}={value}" for name, value in load.variables.items())
-        await session.tell_all((*gate, f"DC {fields(load.brakes)}", *variables))
-
-    async def _read_back(self, lowered: LoweredMoves, then: str) -> None:
-        """Ask for what was loaded, and tell `then` behind it. Raises `CannotDo` if it is something else."""
+    async def _load(self, lowered: LoweredMoves, gate: Sequence[str], then: str) -> None:
+        """Load the move, and with it what `gate` sets, ask for what was loaded, and tell `then` behind it. Raises
+        `CannotDo` if it is something else."""
         load = lowered.load
+        commands = load.commands
+        if isinstance(load, Records):
+            commands = (f"DC {fields(load.brakes)}", *(f"{name}={value}" for name, value in load.variables.items()))
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in self._registers(lowered).items()
@@ -114,7 +103,7 @@ class Start:
         if isinstance(load, Records):
             wanted |= load.variables
         wanted["XLI"] = _line(lowered)
-        held = await self._device.session.values(list(wanted), then)
+        held = await self._device.session.tell_and_read((*gate, *commands), list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
                 raise CannotDo("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")

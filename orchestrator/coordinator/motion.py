@@ -206,7 +206,7 @@ class Motion:
                 await beside(on_state("arming", ""), self._arm(moving, step))
                 await self._judge_frozen(moving, job, step)
                 await self._require_time(moving, "arming took longer than was allowed for")
-                await self._release(moving, job, step, on_state, sooner=growth is None and not step.align)
+                await self._release(moving, job, step, on_state, 0 if step.align else 2 * (growth or 0) or 1)
             except Refuse as refused:
                 # Who does not answer may be busy.
                 if refused.refusal.code not in LATE or not moving.unloaded:
@@ -231,10 +231,10 @@ class Motion:
         job: Job,
         step: Move,
         on_state: Callable[[JobState, str], Coroutine[Any, Any, None]],
-        sooner: bool,
+        room: int,
     ) -> None:
         """Have all promise, settle T0, write down that they go, and let them. Raises `Refuse`: all are unloaded or
-        stopped. sooner: what is left of the lead need not be waited for."""
+        stopped. room: times what go is given; beyond that, what is left of the lead is not waited for. 0: it is."""
         armed_ns = self._clock.now_ns()
         await beside(on_state("armed", ""), self._commit(moving))
         if moving.held_by is not None:
@@ -252,8 +252,9 @@ class Motion:
             pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
         moving.settled_fleet_ns = self._throne.fleet_now_ns()
-        if sooner:
-            self._proposing.settle(moving, job, step, moving.settled_fleet_ns, promised_ns - armed_ns)
+        if room:
+            go_ns = room * self._proposing.pace.go_ns(len(moving.proposals), promised_ns - armed_ns)
+            self._proposing.settle(moving, job, step, moving.settled_fleet_ns + go_ns)
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
         if self._throne.over:

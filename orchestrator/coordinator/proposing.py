@@ -26,7 +26,6 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
 SLIP = 0.02  # of a tick: T0 comes sooner by as many as the members' crystals keep so close together
-SLOW_GO = 2  # times what promises took: of what go takes there is one exchange more
 LEAD_ROOM = 1.25  # over what the same members needed last time: a slower step in between is no reason to ask all again
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
@@ -108,10 +107,10 @@ class Proposing:
             _require("end", end)
             _require("path", path)
 
-    def settle(self, moving: Moving, job: Job, step: Move, now_ns: int, promise_ns: int) -> None:
+    def settle(self, moving: Moving, job: Job, step: Move, gone_ns: int) -> None:
         """Bring T0 forward by what arming and promises have been given and not taken, as far as the budget allows.
-        now_ns: fleet time. promise_ns: how long the promises took."""
-        moving.sooner_ns, moving.slip_ns = self._sooner(moving, now_ns, promise_ns)
+        gone_ns: fleet time by which all should have gone."""
+        moving.sooner_ns, moving.slip_ns = self._sooner(moving, gone_ns)
         if moving.slip_ns:
             budget = moving.budget
             try:
@@ -123,15 +122,13 @@ class Proposing:
 
     # Inside
 
-    def _sooner(self, moving: Moving, now_ns: int, promise_ns: int) -> tuple[int, int]:
+    def _sooner(self, moving: Moving, gone_ns: int) -> tuple[int, int]:
         """How much sooner it can begin, and how far that is at the most from a whole number of anybody's ticks: by
         whole ticks nothing of what is armed changes. Nothing where a member can not, or where a line starts them."""
         proposals = moving.proposals.values()
         if moving.line is not None or not all(each.sooner for each in proposals):
             return 0, 0
-        # A machine that was slow to promise a moment ago will be slow to go.
-        needs_ns = max(self.pace.go_ns(len(moving.proposals)), SLOW_GO * promise_ns) + moving.disarm_ns
-        spare_ns = max(0, moving.t0_fleet_ns - now_ns - needs_ns)
+        spare_ns = max(0, moving.t0_fleet_ns - gone_ns - moving.disarm_ns)
         ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
         if not ticks_ns:
             return spare_ns, 0

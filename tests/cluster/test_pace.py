@@ -8,7 +8,7 @@ import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, Pace
+from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, SLOW_GO, Pace
 from orchestrator.lab.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
@@ -73,7 +73,9 @@ def test_what_is_known_needs_so_many_steps_and_does_not_count_for_one_that_was_l
         pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
     assert pace.share("a") == pytest.approx(ROOM * (10 + KNOWN - 1) / 100)
     assert pace.share("b") == 1.0
-    assert pace.go_ns(2) == round(GO_ROOM * 10 * NS_PER_MS)
+    assert pace.go_ns(2) == round(GO_ROOM * 10 * NS_PER_MS) == pace.go_ns(2, NS_PER_MS)
+    # Who was slow to promise is given as much more to go.
+    assert pace.go_ns(2, 20 * NS_PER_MS) == SLOW_GO * 20 * NS_PER_MS
     # For the whole release, and what go is given beyond what it takes.
     assert pace.margin_ns(2) == round((ROOM * 20 + (GO_ROOM - 1) * 10) * NS_PER_MS) > LEAST_MARGIN_NS
     assert pace.share("a", known=False) == 1.0 and pace.margin_ns(2, known=False) == MARGIN_NS

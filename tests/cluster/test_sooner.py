@@ -10,8 +10,7 @@ from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 from adapters.member import STOPS_NS, Member
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.moving import Moving
-from orchestrator.coordinator.pace import KNOWN
-from orchestrator.coordinator.proposing import SLIP, SLOW_GO, Proposing
+from orchestrator.coordinator.proposing import SLIP, Proposing
 from orchestrator.lab.sync_fleets import sync_fleet
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
@@ -97,21 +96,16 @@ def test_who_begins_when_it_was_armed_to(
 
 
 def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() -> None:
-    tick_ns, promise_ns = 976_562.5, 300 * NS_PER_MS
+    tick_ns, spare_ns = 976_562.5, 900 * NS_PER_MS
     asking = Proposing(cast(Any, None), cast(Any, None))
-    for _ in range(KNOWN):
-        asking.pace.released(20 * NS_PER_MS, 10 * NS_PER_MS)
-    spare_ns = NS_PER_S - asking.pace.go_ns(2)
 
-    def sooner(*ticks_ns: float, promise_ns: int = 0, sooner: bool = True) -> tuple[int, int]:
+    def sooner(*ticks_ns: float, sooner: bool = True) -> tuple[int, int]:
         proposals = {name: Proposal(sooner=sooner, tick_ns=each) for name, each in zip("ab", ticks_ns, strict=True)}
         moving = Moving("j", 0, "a", cast(Any, None), cast(Any, None), proposals=proposals, t0_fleet_ns=2 * NS_PER_S)
-        return asking._sooner(moving, NS_PER_S, promise_ns)  # pyright: ignore[reportPrivateUsage]
+        return asking._sooner(moving, 2 * NS_PER_S - spare_ns)  # pyright: ignore[reportPrivateUsage]
 
     assert sooner(0.0, 0.0) == (spare_ns, 0)
     assert sooner(0.0, 0.0, sooner=False) == (0, 0)
-    # Who was slow to promise is given as much more to go.
-    assert sooner(0.0, 0.0, promise_ns=promise_ns) == (NS_PER_S - SLOW_GO * promise_ns, 0)
     assert sooner(tick_ns, 0.0) == (round(spare_ns // tick_ns * tick_ns), 1)
     for ppm in (5.0, 50.0, 1000.0):
         forward_ns, off_ns = sooner(tick_ns * (1 - ppm * 1e-6), tick_ns * (1 + ppm * 1e-6))
