@@ -31,7 +31,7 @@ from adapters.yaskawa.record import AXIS_LETTERS
 STEP_THREAD = 0
 DOG_THREAD = 1
 EDGE_THREAD = 3
-GATE_TICKS = 40
+GATE_TICKS = 24  # the quiet 20 ms, and a wait of the gate's
 GATE_STEP_TICKS = 4
 # At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
 GATE_SEEN_TICKS = GATE_STEP_TICKS + 6

@@ -26,6 +26,7 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
 # SMC-4000 make moves of a tenth of a second last longer by half of it.
 SOON_S = 50e-6
 SLIP = 0.02  # of a tick: T0 comes sooner by as many as the members' crystals keep so close together
+SPARE_LEAD = 2  # times what is known to be needed
 LEAD_ROOM = 1.25  # over what the same members needed last time: a slower step in between is no reason to ask all again
 READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
 
@@ -126,7 +127,7 @@ class Proposing:
         """How much sooner it can begin, and how far that is at the most from a whole number of anybody's ticks: by
         whole ticks nothing of what is armed changes. Nothing where a member can not, or where a line starts them."""
         proposals = moving.proposals.values()
-        if moving.line is not None or not all(each.sooner for each in proposals):
+        if not self._begins_sooner(moving):
             return 0, 0
         spare_ns = max(0, moving.t0_fleet_ns - gone_ns - moving.disarm_ns)
         ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
@@ -191,7 +192,17 @@ class Proposing:
 
     def _lead_ns(self, moving: Moving, known: bool = True) -> int:
         """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Of those on one
-        line, who takes longer than it says waits for the others."""
+        line, who takes longer than it says waits for the others. Where T0 is brought forward, what is not taken costs
+        nothing, and who is slow for once need not be armed again."""
+        if known and self._begins_sooner(moving):
+            return min(SPARE_LEAD * self._needed_ns(moving, True), self._needed_ns(moving, False))
+        return self._needed_ns(moving, known)
+
+    def _begins_sooner(self, moving: Moving) -> bool:
+        """Whether all can be told to begin sooner than they were armed for."""
+        return moving.line is None and all(each.sooner for each in moving.proposals.values())
+
+    def _needed_ns(self, moving: Moving, known: bool) -> int:
         margin_ns = self.pace.margin_ns(len(moving.proposals), known)
         lines: dict[str, list[tuple[Costs, float]]] = {}
         for member, proposal in moving.proposals.items():
