@@ -6,6 +6,7 @@ Everything here is common to all makes; the make is behind `Driver`.
 import asyncio
 from collections.abc import Coroutine, Mapping
 from typing import Any
+from zlib import crc32
 
 from pydantic import ValidationError
 
@@ -36,6 +37,7 @@ BACKOFF_LONGEST_NS = 5 * NS_PER_S
 TOLD_NS = 30 * NS_PER_MS  # after an e-stop, to people and to the disk: first all units of the host are to stop
 BEGUN_NS = 300 * NS_PER_MS  # after T0: by then it can be seen whether somebody moves
 BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
+POLLS_APART = 0.08  # of their period
 STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
 
 
@@ -88,6 +90,8 @@ class Unit:
         )
         self._commands = Commands(seat, parts, self)
         self._stop_owed = False
+        # What has brought sixteen controllers to rest together must not have all of them read together ever after.
+        self._apart = 1.0 + POLLS_APART * (crc32(seat.controller.encode()) % 64) / 64
         self._met = False
         self._poke = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -202,8 +206,8 @@ class Unit:
         """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
         rates, ticket = self._config.state, self._member.ticket
         about_to_move = ticket is not None and ticket.phase is Phase.RELEASED
-        hz = rates.moving_hz if about_to_move or self.moves else rates.idle_hz
-        timer = asyncio.get_running_loop().call_later(1.0 / hz, self._poke.set)
+        period_s = 1.0 / rates.moving_hz if about_to_move or self.moves else self._apart / rates.idle_hz
+        timer = asyncio.get_running_loop().call_later(period_s, self._poke.set)
         try:
             await self._poke.wait()
         finally:

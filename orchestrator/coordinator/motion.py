@@ -316,8 +316,11 @@ class Motion:
         requests = {
             member: Commit(**self._ref(moving), t0_fleet_ns=moving.t0_ns(member)) for member in moving.proposals
         }
-        left_s = (moving.t0_fleet_ns - self._throne.fleet_now_ns()) / NS_PER_S
-        promises = await self._members.ask_all("commit", requests, Reply, max(0.02, min(ANSWER_S, left_s / 2)))
+        left_ns = moving.t0_fleet_ns - self._throne.fleet_now_ns()
+        # Later there would be no time left for go.
+        useful_ns = left_ns - self._proposing.pace.go_ns(len(moving.proposals)) - moving.disarm_ns
+        wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
+        promises = await self._members.ask_all("commit", requests, Reply, wait_s)
         await self._disarm_if_refused(moving, promises)
 
     async def _go(self, moving: Moving) -> None:

@@ -31,7 +31,7 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
         assert min(waits[:KNOWN]) - waits[-1] > 20 * NS_PER_MS
         # The network becomes slow: what was known is wrong, and the declared times count.
         for wire in fleet.wires.values():
-            wire.model = replace(wire.model, latency_ns=3 * NS_PER_MS)
+            wire.model = replace(wire.model, latency_ns=12 * NS_PER_MS)
         slow = await waited_ns(KNOWN)
         assert slow > waits[-1]
         assert any("arming again with more lead" in line for line in fleet.lines)
@@ -39,8 +39,8 @@ def test_a_fleet_that_is_known_begins_sooner_and_one_that_is_late_is_armed_again
     run_fleet(main)
 
 
-@pytest.mark.parametrize(("busy_ms", "why"), [(130, "has not answered commit"), (60, "promises took longer")])
-def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: int, why: str) -> None:
+@pytest.mark.parametrize(("busy_ms", "again"), [(150, False), (250, True)])
+def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: int, again: bool) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         for k in range(KNOWN):
@@ -56,7 +56,8 @@ def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: i
         fleet.resume("host/local")
         report = await running
         assert report.state == "done", report.reason
-        assert any(why in line for line in fleet.lines[told:])
+        why = "arming again with more lead (gantry: gantry has not answered commit"
+        assert any(why in line for line in fleet.lines[told:]) is again
         assert {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()} == {
             "gantry": 1,
             "stage": 1,
