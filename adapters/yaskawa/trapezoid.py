@@ -180,7 +180,7 @@ def fit(
         speed, up, down = (int(each) for each in finalists[k, best])
         at_limit = length > planned and (speed == wanted.top_speed[k, 0] or up == wanted.top_ramp[k, 0])
         distance = profile.end_counts - profile.start_counts
-        error = float(errors[k, 1, best])
+        error = float(errors[k, -1, best])
         shapes[axis] = Trapezoid(distance, speed, up, down, length, length - planned, at_limit, error)
     return shapes
 
@@ -315,17 +315,19 @@ def _by_ramps(wanted: _Wanted, model: Model) -> Array:
 
 def _path_errors(wanted: _Wanted, laws: _Law) -> Array:
     """Largest distance between plan and the execution of each law, in counts. By axis: moves; as it lies on the
-    samples, and about T0; laws.
+    samples, and about T0, which is the same (one row) as long as it is not known how they lie; laws.
 
     Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
     the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
     # By axis: moves, phases, laws, instants.
-    phases = np.concatenate([wanted.phase, np.zeros_like(wanted.phase)], axis=1)[:, :, None, None]
+    phases = wanted.phase[:, :, None, None]
+    if wanted.phase.any():
+        phases = np.concatenate([phases, np.zeros_like(phases)], axis=1)
     plan = _deeper(wanted.plan, (1, 1, 1))
     laws = _deeper(laws, (1, laws.length.shape[1], 1))
     own, joints, grid = np.concatenate(laws.joints, axis=3), np.concatenate(plan.joints, axis=3), len(_GRID)
-    instants = np.empty((len(phases), 2, own.shape[2], grid + 6))
+    instants = np.empty((*phases.shape[:2], own.shape[2], grid + 6))
     instants[..., :grid] = _GRID * np.maximum(laws.length, plan.length)
     instants[..., grid : grid + 3] = joints
     instants[..., grid + 3 :] = phases + own
