@@ -312,20 +312,21 @@ async def hang_coordinator(fleet: VirtualFleet) -> None:
 
 
 @pytest.mark.parametrize(
-    ("act", "rests_s", "code"),
+    ("act", "rests_s", "codes"),
     [
-        (stop_all, 0.1, "not-jogging"),
-        (estop, 0.1, "estop-latched"),
-        (open_door, 0.25, "not-leased"),  # one poll at 10 Hz, its way to the coordinator and back
-        (limit, 0.1, "not-jogging"),
-        (kill_host, 0.5, None),
-        (hang_host, 0.5, None),
-        (kill_coordinator, 0.8, "not-leased"),
-        (hang_coordinator, 0.8, "not-leased"),
+        (stop_all, 0.1, ["not-jogging"]),
+        (estop, 0.1, ["estop-latched"]),
+        (open_door, 0.25, ["not-leased"]),  # one poll at 10 Hz, its way to the coordinator and back
+        (limit, 0.1, ["not-jogging"]),
+        (kill_host, 0.5, []),
+        (hang_host, 0.5, []),
+        # By the adapter, or by the hand's own renewal of its lease, whichever misses the coordinator first.
+        (kill_coordinator, 0.8, ["not-leased", "no-coordinator"]),
+        (hang_coordinator, 0.8, ["not-leased"]),
     ],
 )
 def test_what_ends_a_jog_although_the_key_is_held(
-    act: Callable[[VirtualFleet], object], rests_s: float, code: str | None
+    act: Callable[[VirtualFleet], object], rests_s: float, codes: list[str]
 ) -> None:
     closed = Permit(input="gantry.door", value=False)
     guarded = demo_fleet().model_copy(update={"permits": {"door-closed": closed}})
@@ -346,12 +347,11 @@ def test_what_ends_a_jog_although_the_key_is_held(
                 await hand.renew()
             except Refused as error:
                 refusal = error.refusal
-                if error.refusal.code == code:
+                if error.refusal.code in codes:
                     break
             await asyncio.sleep(0.05)
         assert refusal is not None
-        if code is not None:
-            assert refusal.code == code, refusal
+        assert not codes or refusal.code in codes, refusal
         await jogged.rest()
         assert jogged.end_ns - began_ns < rests_s * NS_PER_S
         before = jogged.position
