@@ -205,6 +205,8 @@ class Member:
     async def disarm(self, request: Disarm) -> Disarmed:
         """Unload the step, if it is the one that is loaded. A step that moves is not touched."""
         ticket, begun = self.ticket, False
+        if ticket is not None and (ticket.job, ticket.step) != (request.job, request.step):
+            return Disarmed()  # somebody else's, who still counts on it
         if ticket is not None and ticket.phase is Phase.RELEASED:
             # Past a `go` that is still under way, because T0 is near.
             self._interruptions += 1

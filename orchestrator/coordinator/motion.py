@@ -163,7 +163,7 @@ class Motion:
             plan = plan_step(resolved.moves, step.sync, step.speed, step.ramps)
         except PlanError as error:
             raise Refuse("plan", str(error)) from None
-        return Moving(job_id, index, job.actor, resolved, plan, instances)
+        return Moving(job_id, index, job.actor, resolved, plan, instances, aligned=bool(step.align))
 
     async def _look(self, member: str, seen_ns: int | None) -> tuple[ControllerState, Info]:
         try:
@@ -206,7 +206,7 @@ class Motion:
                 await beside(on_state("arming", ""), self._arm(moving, step))
                 await self._judge_frozen(moving, job, step)
                 await self._require_time(moving, "arming took longer than was allowed for")
-                await self._release(moving, job, step, on_state, 0 if step.align else 2 * (growth or 0) or 1)
+                await self._release(moving, job, step, on_state, 2 * (growth or 0) or 1)
             except Refuse as refused:
                 # Who does not answer may be busy.
                 if refused.refusal.code not in LATE or not moving.unloaded:
@@ -234,7 +234,7 @@ class Motion:
         room: int,
     ) -> None:
         """Have all promise, settle T0, write down that they go, and let them. Raises `Refuse`: all are unloaded or
-        stopped. room: times what go is given; beyond that, what is left of the lead is not waited for. 0: it is."""
+        stopped. room: times what go is given; beyond that, what is left of the lead is not waited for."""
         armed_ns = self._clock.now_ns()
         await beside(on_state("armed", ""), self._commit(moving))
         if moving.held_by is not None:
@@ -252,9 +252,8 @@ class Motion:
             pace.late(promised_ns - armed_ns, len(moving.proposals))
             raise
         moving.settled_fleet_ns = self._throne.fleet_now_ns()
-        if room:
-            go_ns = room * self._proposing.pace.go_ns(len(moving.proposals), promised_ns - armed_ns)
-            self._proposing.settle(moving, job, step, moving.settled_fleet_ns + go_ns)
+        go_ns = room * pace.go_ns(len(moving.proposals), promised_ns - armed_ns)
+        self._proposing.settle(moving, job, step, moving.settled_fleet_ns + go_ns)
         epoch, members, utc = self._throne.epoch, ",".join(moving.proposals), self._clock.utc()
         await self._runs(self._journal.decide, moving.job_id, moving.index, epoch, moving.t0_fleet_ns, members, utc)
         if self._throne.over:

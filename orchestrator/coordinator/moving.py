@@ -53,8 +53,8 @@ class Moving:
 
     arming_fleet_ns: when the last arming began; settled_fleet_ns: when T0 was settled. instances: of the adapters that
     it was planned with, by member. early_ns: how much before the plan an axis may end that can not go so slowly.
-    held_by: who has it braked inside. unloaded: when it was disarmed last, nobody had begun. decided: the journal says
-    that it goes.
+    held_by: who has it braked inside. aligned: T0 is one at which ticks fall close together, and stays. unloaded: when
+    it was disarmed last, nobody had begun. decided: the journal says that it goes.
     """
 
     job_id: str
@@ -79,6 +79,7 @@ class Moving:
     held_by: str | None = None
     unloaded: bool = False
     decided: bool = False
+    aligned: bool = False
     _shares: "tuple[Plan, dict[str, dict[str, Profile]]] | None" = None
 
     @property

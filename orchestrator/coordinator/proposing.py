@@ -200,7 +200,7 @@ class Proposing:
 
     def _begins_sooner(self, moving: Moving) -> bool:
         """Whether all can be told to begin sooner than they were armed for."""
-        return moving.line is None and all(each.sooner for each in moving.proposals.values())
+        return moving.line is None and not moving.aligned and all(each.sooner for each in moving.proposals.values())
 
     def _needed_ns(self, moving: Moving, known: bool) -> int:
         margin_ns = self.pace.margin_ns(len(moving.proposals), known)

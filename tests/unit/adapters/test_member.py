@@ -181,6 +181,19 @@ def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_i
     run(body)
 
 
+def test_what_another_job_has_loaded_is_not_unloaded() -> None:
+    async def body(desk: Desk) -> None:
+        await desk.go()
+        told = list(desk.driver.told)
+        for other in ({"job": "k"}, {"step": 1}):
+            assert (await desk.member.disarm(Disarm(**(desk._ref(0) | other)))).begun is False
+        assert desk.driver.told == told and desk.member.ticket is not None and not desk.said
+        await desk.member.disarm(Disarm(**desk._ref(0)))
+        assert desk.member.ticket is None and desk.driver.told[-1] == "disarm"
+
+    run(body)
+
+
 def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_rest() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
