@@ -12,7 +12,7 @@ from adapters.contract import CannotDo, DriverFault
 from adapters.fence import Fence
 from adapters.jogging import Jogging
 from adapters.leases import Leases
-from adapters.member import Member
+from adapters.member import Member, Phase
 from adapters.motors import Motors
 from adapters.presenter import Presenter, explain
 from adapters.referencing import Referencing
@@ -260,6 +260,10 @@ class Commands:
         """What can be cleared is cleared, and nothing is left that speaks against motion. Raises `CannotDo`."""
         condition = self._condition
         condition.online()
+        ticket = self._parts.member.ticket
+        if ticket is not None and ticket.phase is not Phase.MOVING:
+            # What clears faults would be carried out before the starting line, and delay it.
+            raise CannotDo("busy", f"it is about to move for job {ticket.job}", "wait for its end, then reset")
         await self._driver.clear_faults()
         await self._unit.refresh()
         condition.require_no_fault()

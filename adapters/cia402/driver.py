@@ -371,6 +371,8 @@ class CiaDriver(Driver):
             if self._power is not None:
                 self._power.forget()
             await self._bus.detach(self._number, found)
+            # Who waits for what it does, a search for one, hears nothing more of it.
+            found.lost(LinkClosed(f"{self._setup.controller} is left"))
 
     # Inside
 

@@ -222,6 +222,23 @@ def test_who_was_told_to_go_is_stopped_as_it_begins_when_its_link_is_closed() ->
     run_fleet(main)
 
 
+@pytest.mark.parametrize("state", ["armed", "running"])
+def test_who_is_about_to_move_is_not_reset(state: JobState) -> None:
+    """What clears faults is carried out before the line that starts it, and would delay that."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.client()
+        job_id = await client.submit(GANTRY)
+        await reached(fleet, job_id, state)
+        refused = (await client.reset())["gantry"]
+        assert refused is not None and refused.code == "busy" and f"for job {job_id}" in refused.text
+        assert (await client.wait(job_id)).state == "done"
+        assert not any((await client.reset()).values())
+
+    run_fleet(main)
+
+
 def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for a wired line by then, and its port was kept open by the other unit."""
     poll = SmcDriver.poll

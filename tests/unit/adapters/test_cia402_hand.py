@@ -7,6 +7,7 @@ from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, run
 
 from adapters.contract import CannotDo, JogMove
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.link.base import LinkClosed
 
 SWITCH = {"home_switch": [-3000, -2000], "travel": [-20_000, 60_000]}
 
@@ -55,6 +56,21 @@ def test_who_has_found_its_reference_rests(method: str, inhibit_ms: int) -> None
         assert abs(reading.commanded_counts) <= 1 or method == "negative_limit"
 
     run(main, simulate=SWITCH, options={"inhibit_ms": inhibit_ms}, homing={"method": method, "speed": 8000})
+
+
+def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
+    """It may have fallen silent on a bus that others still have open: nobody hears of its search any more."""
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        searching = asyncio.ensure_future(world.driver.home(["a"], lambda _: None))
+        await world.rest(200)
+        assert world.unit.moving("1") and not searching.done()
+        await world.driver.close()
+        with pytest.raises(LinkClosed):
+            await asyncio.wait_for(searching, 0.01)
+
+    run(main, simulate=SWITCH, homing={"method": "home_switch_negative", "speed": 2000})
 
 
 def test_a_reference_that_is_not_there_is_said() -> None:
