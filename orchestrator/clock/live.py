@@ -27,11 +27,6 @@ SWITCH_S = 0.0005
 for 5 ms by default, which would widen every stamp, and hold up every message, by as much."""
 
 
-GARBAGE = (20_000, 20, 20)
-"""How much is made between two looks for garbage, young and old. Python looks after 700; what a step makes and drops
-needs no look, and a twentieth of a host's time went into them."""
-
-
 def begin_live() -> None:
     """To be called once all is loaded: what is alive now is not looked through for garbage any more, and threads take
     short turns.
@@ -41,7 +36,6 @@ def begin_live() -> None:
     """
     gc.collect()
     gc.freeze()
-    gc.set_threshold(*GARBAGE)
     sys.setswitchinterval(SWITCH_S)
 
 
