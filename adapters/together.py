@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from adapters.presenter import explain
 from orchestrator.bus.base import Handler, RequestRefused, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.clock.base import NS_PER_S, Clock
@@ -31,8 +32,7 @@ class AnswersTogether:
         try:
             asked = Together.model_validate_json(sample.payload)
         except ValidationError as error:
-            first = error.errors()[0]
-            raise RequestRefused(f"{verb}: {'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}") from None
+            raise RequestRefused(f"{verb}: {explain(error)}") from None
         asked_ns = self._clock.now_ns()
         replies: dict[str, str] = {}
         errors: dict[str, str] = {}
