@@ -6,7 +6,7 @@ from typing import TextIO
 from orchestrator.clock.base import NS_PER_MS, Clock
 from sim.core.controller import Motion, SimulatedController
 
-LOOK_EVERY_NS = 50 * NS_PER_MS  # a look takes a tenth of a millisecond from what is tested
+LOOK_EVERY_NS = 100 * NS_PER_MS  # a look takes a tenth of a millisecond from what is tested
 
 
 class TruthLog:

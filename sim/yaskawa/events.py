@@ -26,6 +26,11 @@ class Events:
         """Off-on-error has acted (L8029)."""
         self.error_met = self.machine.interpreter.threads[0].running
 
+    @property
+    def watched(self) -> bool:
+        """Whether there is a routine for a condition that `poll` would find."""
+        return not self.machine.program.labels.keys().isdisjoint(("LIMSWI", "POSERR"))
+
     def poll(self) -> None:
         """Between two lines, and in every event: start a routine whose condition holds."""
         machine = self.machine

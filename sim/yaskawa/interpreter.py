@@ -4,7 +4,7 @@ from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING
 
-from orchestrator.clock.base import NS_PER_MS, Timer
+from orchestrator.clock.base import NS_PER_MS
 from sim.yaskawa.context import Context
 from sim.yaskawa.errors import CommandError
 from sim.yaskawa.statements import Raw, Statement, compile_line
@@ -39,9 +39,9 @@ class Interpreter:
         self.busy = False
         self.decoded_ns = NEVER_NS
         """True instant at which the command under way will have been decoded."""
+        self.leeway_ns = 0
+        """How much later that may be seen to."""
         self._decoding: tuple[Port | None, Thread | None] = (None, None)
-        self._timer: Timer | None = None
-        self._lenient = False
         self.trace = False
         self.break_at: tuple[int, int] | None = None
         self.break_hit = False
@@ -104,8 +104,9 @@ class Interpreter:
 
     def pump(self) -> None:
         """Run whatever is ready; come back by the clock when commands take time."""
-        if self.busy and self._lenient and any(port.queue for port in self.machine.ports.all()):
-            self._come_back(0)
+        if self.busy and self.leeway_ns and any(port.queue for port in self.machine.ports.all()):
+            self.leeway_ns = 0
+            self.machine.set_alarm()
         while not self.busy:
             port, thread = self._choose()
             if port is None and thread is None:
@@ -114,10 +115,15 @@ class Interpreter:
             if not delay_ns:
                 self._perform(port, thread)
                 continue
-            self.busy = True
-            self.decoded_ns = self.machine.timebase.after_ns(delay_ns)
-            self._decoding = (port, thread)
-            self._come_back(self._leeway_ns(port, thread, delay_ns))
+            self._decode(port, thread, delay_ns)
+            self.leeway_ns = self._leeway_ns(port, thread, delay_ns)
+            self.machine.set_alarm()
+
+    def _decode(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> None:
+        """Begin with the next command of one of them."""
+        self.busy = True
+        self.decoded_ns = self.machine.timebase.after_ns(delay_ns)
+        self._decoding = (port, thread)
 
     def _leeway_ns(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> int:
         if any(each.queue for each in self.machine.ports.all() if each is not port):
@@ -127,43 +133,84 @@ class Interpreter:
             return min(LEEWAY_NS, (len(port.queue) - 1) * delay_ns)
         return LEEWAY_NS if thread is not None and self.unseen(thread) else 0
 
-    def _come_back(self, leeway_ns: int) -> None:
-        """When the command under way has been decoded."""
-        if self._timer is not None:
-            self._timer.cancel()
-        self._lenient = leeway_ns > 0
-        self._timer = self.machine.timebase.clock.call_at_ns(self.decoded_ns, self._decode, leeway_ns)
-
-    def _decode(self) -> None:
-        self.machine.catch_up()
-        if self.decoded_ns <= self.machine.timebase.clock.now_ns():
-            self.decoded()
-        self.machine.catch_up()
-
     def unseen(self, thread: Thread) -> bool:
         """Whether all that the rest of its line does is to wait and to jump."""
         return all(each.op in _UNSEEN for each in self.line(thread.line)[thread.index :])
 
     def decoded(self) -> None:
         """The command under way has been decoded, at its `decoded_ns`: run it."""
-        (port, thread), due_ns = self._decoding, self.decoded_ns
-        self._forget()
+        port, thread = self._decoding
         timebase = self.machine.timebase
-        timebase.due_ns = due_ns
+        timebase.begin(self.decoded_ns)
+        self._forget()
         try:
             self.machine.settle()
             self._perform(port, thread)
             self.machine.go_on()
         finally:
-            timebase.due_ns = None
+            timebase.end()
 
     def _forget(self) -> None:
         """Nothing is being decoded any more."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
         self.busy = False
-        self.decoded_ns = NEVER_NS
+        self.decoded_ns, self.leeway_ns = NEVER_NS, 0
+
+    def poll_alone(self, wake_ns: int, before_ns: int) -> bool:
+        """Have a program that only waits and jumps do so up to `before_ns`, if there is nothing else that it could
+        meet; whether it has. It does just what `decoded` and the look at each sample would, one after the other, in
+        half of the time: sixteen that poll a gate took half a processor. wake_ns: when the sample comes that it waits
+        for.
+        """
+        machine, timebase = self.machine, self.machine.timebase
+        thread = self._alone()
+        if thread is None:
+            return False
+        done = False
+        try:
+            while thread.line < len(machine.program.lines) and self.unseen(thread):
+                due_ns = self.decoded_ns if self.busy else wake_ns
+                if due_ns >= before_ns:
+                    break
+                timebase.begin(due_ns)
+                if self.busy:
+                    self._forget()
+                    self._step(thread)
+                elif thread.trip is not None and thread.trip.passed(machine, machine.now()):
+                    thread.trip, thread.resting = None, False
+                else:
+                    break
+                done = True
+                if thread.trip is not None:
+                    now = machine.now()
+                    due = thread.trip.due(machine, now)
+                    wake_ns = NEVER_NS if due == inf else timebase.true_ns(int(max(due, now)))
+                elif thread.ready:
+                    self._choose()
+                    self._decode(None, thread, self.delay_ns(True))
+                else:
+                    break
+            if done:
+                if self.busy and self.unseen(thread):
+                    self.leeway_ns = LEEWAY_NS
+                machine.moved_on()
+        finally:
+            timebase.end()
+        return done
+
+    def _alone(self) -> Thread | None:
+        """The program that is all that goes on in the controller, if it only waits and jumps."""
+        machine = self.machine
+        running = [thread for thread in self.threads if thread.running]
+        if len(running) != 1 or running[0].paused or not self.unseen(running[0]):
+            return None
+        thread = running[0]
+        if (self.busy and self._decoding != (None, thread)) or machine.instant_programs or machine.soon() != inf:
+            return None
+        if self.trace or self.break_at is not None or machine.events.watched:
+            return None
+        if any(port.queue or port.trip is not None for port in machine.ports.all()):
+            return None
+        return thread
 
     def _choose(self) -> "tuple[Port | None, Thread | None]":
         current = self._current
@@ -171,17 +218,15 @@ class Interpreter:
             return None, current
         self._current = None
         first = self._turn
-        for thread in self.threads[max(first - 1, 0) :] if first else ():
-            if thread.ready:
+        ready = [thread for thread in self.threads if thread.running and thread.ready]
+        for thread in ready:
+            if 0 < first <= thread.number + 1:
                 return None, self._chosen(thread)
         for port in self.machine.ports.all():
             if port.queue and port.trip is None:
                 self._turn = 1
                 return port, None
-        for thread in self.threads[: first - 1] if first else self.threads:
-            if thread.ready:
-                return None, self._chosen(thread)
-        return None, None
+        return None, self._chosen(ready[0]) if ready else None
 
     def _chosen(self, thread: Thread) -> Thread:
         self._turn = (thread.number + 2) % (len(self.threads) + 1)

@@ -64,10 +64,14 @@ class Machine:
         self.motion = self._new_motion()
         self.interpreter = Interpreter(self, self._delay_ns)
         self.events = Events(self)
-        self._timer: Timer | None = None
-        self._timer_sample: float = -inf
+        self._wake_sample: float = -inf
         """The next sample where something happens by itself, as far as it is known."""
-        self._timer_due_ns = 0
+        self._wake_ns = NEVER_NS
+        self._wake_leeway_ns = 0
+        self._alarm: Timer | None = None
+        self._alarm_ns = (NEVER_NS, 0)
+        """When it is due, and how late it may be."""
+        self._catching_up = False
         self._clear()
         self.memory.restore()
 
@@ -145,7 +149,7 @@ class Machine:
         if not self.powered:
             return
         now = self.now()
-        if now < self._timer_sample:
+        if now < self._wake_sample:
             return  # whatever has changed since that was worked out has gone on from there
         if self.recorder.due <= now:
             self.recorder.run(now)
@@ -159,22 +163,46 @@ class Machine:
         self.interpreter.release(self.now())
         self.events.poll()
         self.interpreter.pump()
+        self.arrange()
+
+    def arrange(self) -> None:
+        """Be called at the next sample where something happens."""
         now = self.now()
-        soon = min(self.motion.due(), self.recorder.due)
+        soon = self.soon()
         due = min(soon, self.interpreter.due(now))
-        if due == self._timer_sample:
-            return
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        self._timer_sample = due
-        if due != inf:
-            due_ns = self.timebase.true_ns(int(max(due, now)))
-            if due_ns != NEVER_NS:
-                self._timer_due_ns = due_ns
+        if due != self._wake_sample:
+            self._wake_sample, self._wake_ns, self._wake_leeway_ns = due, NEVER_NS, 0
+            if due != inf:
+                self._wake_ns = self.timebase.true_ns(int(max(due, now)))
                 # Of what is due first only a program that waits may be seen to later.
-                leeway_ns = LEEWAY_NS if due < soon and self.interpreter.unseen_at(due, now) else 0
-                self._timer = self.timebase.clock.call_at_ns(due_ns, self._timed, leeway_ns)
+                if due < soon and self.interpreter.unseen_at(due, now):
+                    self._wake_leeway_ns = LEEWAY_NS
+        self.set_alarm()
+
+    def moved_on(self) -> None:
+        """Somebody has had happen what was to come first."""
+        self._wake_sample, self._wake_ns = -inf, NEVER_NS
+        self.arrange()
+
+    def soon(self) -> float:
+        """The next sample at which something happens that no program does."""
+        return min(self.motion.due(), self.recorder.due)
+
+    def set_alarm(self) -> None:
+        """Be called for whatever comes first: a sample, or a command that has been decoded."""
+        if self._catching_up:
+            return  # once for all of it
+        interpreter = self.interpreter
+        due_ns = min(self._wake_ns, interpreter.decoded_ns)
+        last_ns = min(self._wake_ns + self._wake_leeway_ns, interpreter.decoded_ns + interpreter.leeway_ns)
+        if self._alarm is not None:
+            if self._alarm_ns == (due_ns, last_ns):
+                return
+            self._alarm.cancel()
+            self._alarm = None
+        if due_ns != NEVER_NS:
+            self._alarm_ns = (due_ns, last_ns)
+            self._alarm = self.timebase.clock.call_at_ns(due_ns, self._ring, last_ns - due_ns)
 
     def look(self) -> None:
         """Somebody looks, or does something, from outside."""
@@ -184,35 +212,42 @@ class Machine:
     def catch_up(self) -> None:
         """Live, timers are late: what was due before something comes from outside has happened before it."""
         now_ns = self.timebase.clock.now_ns()
-        while self.powered:
-            wake_ns = NEVER_NS if self._timer is None else self._timer_due_ns
-            if min(wake_ns, self.interpreter.decoded_ns) >= now_ns:
-                return
-            if wake_ns <= self.interpreter.decoded_ns:
-                assert self._timer is not None
-                self._timer.cancel()
-                self._wake()
-            else:
-                self.interpreter.decoded()
+        if min(self._wake_ns, self.interpreter.decoded_ns) >= now_ns:
+            return
+        outer, self._catching_up = self._catching_up, True
+        try:
+            while self.powered and min(self._wake_ns, self.interpreter.decoded_ns) < now_ns:
+                if not self.interpreter.poll_alone(self._wake_ns, now_ns):
+                    self._next()
+        finally:
+            self._catching_up = outer
+        self.set_alarm()
 
-    def _timed(self) -> None:
+    def _next(self) -> None:
+        """Have happen what comes first."""
+        if self._wake_ns <= self.interpreter.decoded_ns:
+            self._wake()
+        else:
+            self.interpreter.decoded()
+
+    def _ring(self) -> None:
+        self._alarm = None
         # What was due before, and could be late, has happened before.
         self.catch_up()
-        if self._timer is not None and self._timer_due_ns <= self.timebase.clock.now_ns():
-            self._timer.cancel()
-            self._wake()
+        if self.powered and min(self._wake_ns, self.interpreter.decoded_ns) <= self.timebase.clock.now_ns():
+            self._next()
         self.catch_up()
+        self.set_alarm()
 
     def _wake(self) -> None:
-        self._timer = None
-        self._timer_sample = -inf
         timebase = self.timebase
-        timebase.due_ns = self._timer_due_ns
+        timebase.begin(self._wake_ns)
+        self._wake_ns, self._wake_sample = NEVER_NS, -inf
         try:
             self.settle()
             self.go_on()
         finally:
-            timebase.due_ns = None
+            timebase.end()
 
     def wire_clock(self, source: "Machine") -> None:
         """A wire brings the sample clock of `source`; it counts while `TM` is negative."""
@@ -224,10 +259,8 @@ class Machine:
         self.go_on()
 
     def rescheduled(self) -> None:
-        """The samples have changed their length: the timer stands at the wrong instant."""
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer, self._timer_sample = None, -inf
+        """The samples have changed their length: the next one is due at another instant."""
+        self._wake_ns, self._wake_sample = NEVER_NS, -inf
         self.motion.samples_again()
 
     # Reset and power

@@ -71,15 +71,22 @@ class MotionControl:
 
     def due(self) -> float:
         """The next sample at which something happens by itself."""
+        # Asked at each command: mostly nothing moves, and that is to be known at once.
         due = inf
+        at_rest = True
         for axis in self._all:
-            due = min(due, axis.end, axis.watch)
+            if axis.end < due:
+                due = axis.end
+            if axis.watch < due:
+                due = axis.watch
+            if axis.mode or axis.gear.on:
+                at_rest = False
         for system in self.systems.values():
             if system.running:
                 due = min(due, system.end())
         if self.contour is not None:
             due = min(due, self.contour.end)
-        if self._polled():
+        if not at_rest and self._polled():
             due = min(due, self.timebase.sample() + 1)
         return due
 

@@ -29,8 +29,8 @@ class Timebase:
         """Of `TM`; negative for an external clock."""
         self.running = True
         self._own = True
-        self.due_ns: int | None = None
-        """True instant at which what is worked out now was due; None for what comes from outside."""
+        self._event_ns: int | None = None
+        """True instant at which what is worked out now happens; None for what comes from outside."""
         self._latest_ns = 0
         self._seen_ns = -1
         """True time for which `_seen_sample` was worked out: within one instant many ask."""
@@ -156,16 +156,26 @@ class Timebase:
         """The true instant at which `device_ns` of device time will have passed from now."""
         return self.oscillator.true_ns(self.device_ns() + device_ns)
 
-    def now_ns(self) -> int:
-        """The true instant at which what happens now happens in the controller.
+    def begin(self, due_ns: int) -> None:
+        """What is worked out from now to `end` was due at the true instant `due_ns`, and happens then.
 
         Live, timers are late like everybody's, by up to some milliseconds. What was due before has happened when it
         was due, because a processor adds no such delays up, and nobody could look in between; time never goes back.
         """
-        now_ns, due_ns = self.clock.now_ns(), self.due_ns
-        if due_ns is not None and 0 < now_ns - due_ns < LATEST_NS:
-            now_ns = max(due_ns, self._latest_ns)
-        self._latest_ns = now_ns
+        self.end()
+        now_ns = self.clock.now_ns()
+        self._event_ns = max(due_ns, self._latest_ns) if 0 < now_ns - due_ns < LATEST_NS else now_ns
+
+    def end(self) -> None:
+        """What was due has been worked out."""
+        if self._event_ns is not None:
+            self._latest_ns, self._event_ns = self._event_ns, None
+
+    def now_ns(self) -> int:
+        """The true instant at which what happens now happens in the controller."""
+        if self._event_ns is not None:
+            return self._event_ns
+        self._latest_ns = now_ns = self.clock.now_ns()
         return now_ns
 
     def sample_rate(self) -> float:
