@@ -20,10 +20,11 @@ from orchestrator.link.base import LinkClosed
 from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Disarmed, Go, Proposal, Propose, Reply, StepRef
 from orchestrator.model.state import AxisEvidence, EventKind, Interval
 
-QUIET_NS = 20 * NS_PER_MS  # nothing polls a member this long before T0
-# And so long before it, nobody who has promised: its promise was a look already, and the others are still being asked.
-# Sixteen that are read just then have taken longer to go than they are given.
-PROMISED_QUIET_NS = 300 * NS_PER_MS
+# Nothing polls a member this long before T0: its promise is a look, and the others are still being asked. Sixteen that
+# are read just then have taken longer to go than they are given.
+QUIET_NS = 300 * NS_PER_MS
+# Nor so long after anything was asked of it for a step: arming looks at it, too, and the fleet waits for it.
+ASKED_QUIET_NS = 250 * NS_PER_MS
 STOPS_NS = 10 * NS_PER_MS  # so long before T0 a stop is written that is carried out before it
 
 
@@ -90,6 +91,7 @@ class Member:
         self._loading = asyncio.Lock()
         self._interruptions = 0
         self._followed = 0
+        self._asked_ns = -ASKED_QUIET_NS
         self.ticket: Ticket | None = None
         self.stop_owed = False
         """What was released, and has failed, could not be stopped yet."""
@@ -98,8 +100,13 @@ class Member:
 
     # The way of a step
 
+    def asked(self) -> None:
+        """It is wanted for a step: what only watches it waits."""
+        self._asked_ns = self._clock.now_ns()
+
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
+        self.asked()
         async with self._lowering:
             await asyncio.sleep(0)
             self._check(request)
@@ -122,6 +129,7 @@ class Member:
 
     async def arm(self, request: Arm) -> Armed:
         """Load the move for T0, with the clock mapping of this moment frozen into it."""
+        self.asked()
         async with self._turn:
             if self.ticket is not None:
                 raise CannotDo(
@@ -153,6 +161,7 @@ class Member:
                 await self._driver.disarm()
                 raise CannotDo("stopped", "a stop came while arming", "")
             self.ticket, self.stop_ns = ticket, lowered.costs.stop_ns
+            self.asked()  # the promise is next
             self._spawn(self._expire(ticket))
             return Armed(
                 durations_s=dict(lowered.durations_s),
@@ -234,6 +243,7 @@ class Member:
         """Stop the controller now, whatever it does; nothing that is loaded starts afterwards. follow: the end of a
         step that moves is told once it is at rest, with its evidence."""
         self._interruptions += 1
+        self._asked_ns = -ASKED_QUIET_NS
         if follow and self.ticket is not None and self.ticket.phase is Phase.MOVING:
             await self._driver.stop(abort)
             return
@@ -294,13 +304,15 @@ class Member:
             pass
 
     def quiet_until_ns(self) -> int | None:
-        """Until when nothing may be sent to the controller, when that time has begun; None otherwise."""
-        ticket = self.ticket
-        if ticket is None or ticket.phase is Phase.MOVING:
-            return None
-        before_ns = QUIET_NS if ticket.phase is Phase.ARMED else PROMISED_QUIET_NS
-        quiet = ticket.t0_host_ns - before_ns <= self._clock.now_ns() <= ticket.t0_host_ns
-        return ticket.t0_host_ns if quiet else None
+        """Until when nothing may be sent to the controller only to watch it; None: it may be."""
+        ticket, now_ns = self.ticket, self._clock.now_ns()
+        until_ns = self._asked_ns + ASKED_QUIET_NS
+        if ticket is not None:
+            if ticket.phase is Phase.MOVING:
+                return None
+            if ticket.t0_host_ns - QUIET_NS <= now_ns <= ticket.t0_host_ns:
+                until_ns = ticket.t0_host_ns
+        return until_ns if now_ns <= until_ns else None
 
     # Inside
 

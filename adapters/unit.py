@@ -25,7 +25,7 @@ from adapters.seat import Seat
 from adapters.settling import Settling
 from adapters.store import Remembered
 from orchestrator.bus.base import Declared, Handler
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
@@ -214,7 +214,13 @@ class Unit:
             timer.cancel()
         self._poke.clear()
         while (until_ns := self._member.quiet_until_ns()) is not None:
-            await sleep_until_ns(self._clock, until_ns + NS_PER_MS)
+            # A stop ends the quiet, and pokes.
+            alarm = self._clock.call_at_ns(until_ns + NS_PER_MS, self._poke.set)
+            try:
+                await self._poke.wait()
+            finally:
+                alarm.cancel()
+            self._poke.clear()
 
     async def _beat(self) -> None:
         """The adapter's heartbeat while its controller is not polled: it is out of reach, its line is taken, or the

@@ -2,9 +2,9 @@
 
 For each set of axes (bit 0 is X), because BG of an axis that is off is refused for all (L3071): an entry `#S<mask>`
 for independent moves, and one `#C<mask>` that plays a contour out of the arrays. The gate polls XGO through a
-trip-point, so that it costs the interpreter little, and is decided GATE_TICKS before the start: in the last 20 ms
-nothing but `WT` is under way, and BG or the first CD follows it on the same line with nothing between. Contour mode is
-entered before.
+trip-point, so that it costs the interpreter little, and is decided GATE_TICKS before the start, or up to a round of its
+loop later: in the last milliseconds nothing but `WT` is under way, and BG or the first CD follows it on the same line
+with nothing between. Contour mode is entered before.
 
 A contour's records after the first follow in a loop whose next CD comes right after WC has let go (L11717), so that
 the whole length of a record is there for it. `#DOG` runs beside a step in a thread of its own, from after its start to
@@ -31,12 +31,12 @@ from adapters.yaskawa.record import AXIS_LETTERS
 STEP_THREAD = 0
 DOG_THREAD = 1
 EDGE_THREAD = 3
-GATE_TICKS = 24  # the quiet 20 ms, and a wait of the gate's
 GATE_STEP_TICKS = 4
 # At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
 GATE_SEEN_TICKS = GATE_STEP_TICKS + 6
 GATE_ROUND_TICKS = GATE_STEP_TICKS + 2  # as a rule it has by then: the wait, the jump, and the line behind it
 START_ROOM_TICKS = 9  # from the gate to the wait there are eight commands
+GATE_TICKS = START_ROOM_TICKS + GATE_SEEN_TICKS  # who opens it just in time is still seen, and waits in time
 DOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one

@@ -22,12 +22,11 @@ from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.line import SHARED, Line
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, Records, lower_moves
 from adapters.yaskawa.model import SMC2000
-from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.serial_device import SerialDevice, stop_commands
 from adapters.yaskawa.settings import configure
 from adapters.yaskawa.smc2000_options import Smc2000Options
-from adapters.yaskawa.smc2000_program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
+from adapters.yaskawa.smc2000_program import AXES_MOST, GATE_TICKS, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000_start import SerialStart
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping

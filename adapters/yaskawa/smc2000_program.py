@@ -17,7 +17,6 @@ from adapters.yaskawa.program import (
     DOG_STEP_TICKS,
     DOG_THREAD,
     GATE_STEP_TICKS,
-    GATE_TICKS,
     LINE_VARIABLES,
     START_ROOM_TICKS,
     STEP_THREAD,
@@ -30,6 +29,7 @@ from adapters.yaskawa.program import (
 from adapters.yaskawa.serial_session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048
+GATE_TICKS = 24  # its round is two commands longer, and on a serial line the others' commands come between
 POLL = "XQ#P,2"
 HEADING = "#TUTTI"
 AXES_MOST = 6  # the sets of more axes would need more than 254 labels (L3347)

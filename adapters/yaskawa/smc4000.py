@@ -19,6 +19,7 @@ from adapters.yaskawa.dialect import motor_indices
 from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
+from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
@@ -28,7 +29,7 @@ from adapters.yaskawa.record import (
     AxisRecord,
 )
 from adapters.yaskawa.settings import configure
-from adapters.yaskawa.start import STILL_TO_COME, Start
+from adapters.yaskawa.start import RELEASE_TICKS, Start
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
@@ -43,7 +44,7 @@ LONGEST_EXCHANGE = 80  # characters, to and fro
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
-RELEASE_NS = STILL_TO_COME * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
+RELEASE_NS = (GATE_TICKS + RELEASE_TICKS) * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D)"
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands

@@ -23,7 +23,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_
 from orchestrator.clock.estimator import TickMapping
 
 TICKS_MAX = 2_147_483_647  # L10613
-STILL_TO_COME = GATE_TICKS + 8  # samples before the start in which the gate can still be opened and seen to be
+RELEASE_TICKS = 8  # before the gate is decided: by then the release must be on its way
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
@@ -46,12 +46,18 @@ class Start:
 
     LATE_TICKS = 4
     """Of a contour's stamps: from the last record to its stamp there are two commands."""
+    GATE_TICKS = GATE_TICKS
 
     def __init__(self, device: Device, clock: Clock, options: Options) -> None:
         self._device = device
         self._clock = clock
         self._options = options
         self._loaded: _Loaded | None = None
+
+    @property
+    def _still_to_come(self) -> int:
+        """Samples before the start in which the gate can still be opened."""
+        return self.GATE_TICKS + RELEASE_TICKS
 
     # Before T0
 
@@ -67,7 +73,7 @@ class Start:
         ticks = round(mapping.ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise CannotDo("counter-full", "the sample counter ends before the start", "restart the controller")
-        if mapping.ticks(began_ns) > ticks - STILL_TO_COME:
+        if mapping.ticks(began_ns) > ticks - self._still_to_come:
             raise CannotDo("late", "T0 is too near to arm", "give more lead time")
         loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
         await self._device.stops_carried_out()
@@ -164,7 +170,7 @@ class Start:
             loaded.t0_ns -= sooner_ns
             told = [f"XT0={loaded.ticks}", self._food(loaded.ticks), *told]
             asked.append("XT0")
-        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - STILL_TO_COME:
+        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._still_to_come:
             raise CannotDo("late", "it is too late to release the start", "give more lead time")
         opened_ns = await session.tell_all(told)
         await sleep_until_ns(self._clock, opened_ns + round(GATE_ROUND_TICKS * loaded.mapping.tick_ns))

@@ -8,6 +8,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.lab.sync_fleets import smc4000
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.state import ControllerState
 
 SECONDS = 10
 
@@ -66,5 +67,41 @@ def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
             after_ns = min(each for each in polled_ns if each > told_ns[-1]) - begun_ns
             assert -5 * NS_PER_MS < after_ns < NS_PER_S // 10
         assert len(told_ns) == 3
+
+    run_virtual(main)
+
+
+def test_who_is_asked_for_a_step_is_not_polled_until_it_begins_and_at_once_after_a_stop() -> None:
+    """Though it is polled every 20 ms else: the arming's own looks are enough, and a stop is to be seen to its end."""
+    controllers = {"a": {**smc4000(0), "state": {"idle_hz": 50.0}}}
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
+
+    async def main(clock: VirtualClock) -> None:
+        virtual = VirtualFleet(fleet, clock, 1)
+        await virtual.start()
+        await outcome(virtual, job("[{do: enable, axes: [a]}, {do: home, axes: [a]}]"))
+        states: list[ControllerState] = []
+        await virtual.net.join("watcher").subscribe(
+            virtual.keys.state(), lambda sample: states.append(ControllerState.model_validate_json(sample.payload))
+        )
+        await sleep_ns(clock, NS_PER_S)
+        assert len(states) > 40
+        states.clear()
+        begun_ns = len(virtual.controllers["a"].motions)
+        moving = await virtual.client().submit(job("[{do: move, to: {a.x: 10}}]"))
+        while len(virtual.controllers["a"].motions) == begun_ns:
+            await sleep_ns(clock, NS_PER_MS)
+        assert len(states) <= 2  # one that was under way; and what is told of the lease
+        await moving.result()
+
+        # Stopped just behind the arming.
+        told = len(virtual.lines)
+        moving = await virtual.client().submit(job("[{do: move, to: {a.x: 0}}]"))
+        while not any("job is armed" in line for line in virtual.lines[told:]):
+            await sleep_ns(clock, NS_PER_MS)
+        states.clear()
+        await virtual.client().stop()
+        await sleep_ns(clock, 60 * NS_PER_MS)
+        assert states and states[-1].mode == "idle"
 
     run_virtual(main)
