@@ -189,8 +189,6 @@ class Commands:
         self._parts.leases.grant(request)
         # Who asks is told the state at once, others with the next poll or heartbeat; not at each renewal.
         changed = self._parts.leases.holders != before
-        if changed and request.ttl_ms:
-            self._parts.member.asked()
         return LeaseReply(state=self._presenter.state() if changed else None)
 
     async def _enable(self, request: EnableRequest) -> Reply:

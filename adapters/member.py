@@ -100,13 +100,9 @@ class Member:
 
     # The way of a step
 
-    def asked(self) -> None:
-        """It is wanted for a step: what only watches it waits."""
-        self._asked_ns = self._clock.now_ns()
-
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
-        self.asked()
+        self._asked_ns = self._clock.now_ns()
         async with self._lowering:
             await asyncio.sleep(0)
             self._check(request)
@@ -129,7 +125,7 @@ class Member:
 
     async def arm(self, request: Arm) -> Armed:
         """Load the move for T0, with the clock mapping of this moment frozen into it."""
-        self.asked()
+        self._asked_ns = self._clock.now_ns()
         async with self._turn:
             if self.ticket is not None:
                 raise CannotDo(
@@ -161,7 +157,7 @@ class Member:
                 await self._driver.disarm()
                 raise CannotDo("stopped", "a stop came while arming", "")
             self.ticket, self.stop_ns = ticket, lowered.costs.stop_ns
-            self.asked()  # the promise is next
+            self._asked_ns = self._clock.now_ns()  # the promise is next
             self._spawn(self._expire(ticket))
             return Armed(
                 durations_s=dict(lowered.durations_s),

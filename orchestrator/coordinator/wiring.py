@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from orchestrator.bus.base import BusError
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.coordinator.leases import LeaseBook
 from orchestrator.coordinator.members import Members
 from orchestrator.coordinator.targets import Refuse, refuse
@@ -12,9 +12,10 @@ from orchestrator.coordinator.view import FleetView
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import OutputRequest, Reply
 from orchestrator.model.service import WireFound
+from orchestrator.model.state import ControllerState
 
 ANSWER_S = 3.0
-SEEN_NS = 600 * NS_PER_MS  # for an input to be polled after its output was switched
+SEEN_NS = 600 * NS_PER_MS  # beyond a poll's period, for an input to be polled after its output was switched
 LOOK_NS = 40 * NS_PER_MS
 HOLDER = "wiring-check"
 
@@ -43,14 +44,14 @@ class WiringCheck:
             await self._leases.give_back(HOLDER)
 
     async def _look(self, output: str, inputs: list[str], actor: str) -> list[WireFound]:
-        before = await self._inputs()
-        await self._switch(output, True, actor)
+        before, _ = await self._inputs()
         try:
-            during = await self._seen(before, inputs)
+            switched_ns = await self._switch(output, True, actor)
+            during = await self._seen(switched_ns, before, inputs)
         finally:
             with suppress(Refuse):
-                await self._switch(output, False, actor)
-        after = await self._seen(during, [name for name in inputs if during[name]])
+                switched_ns = await self._switch(output, False, actor)
+        after = await self._seen(switched_ns, during, [name for name in inputs if during[name]])
         found: list[WireFound] = []
         for name in inputs:
             ok, text, remedy = _judged(before[name], during[name], after[name])
@@ -63,39 +64,48 @@ class WiringCheck:
                 found.append(WireFound(output=output, input=name, ok=False, text=text, remedy="correct `wiring`"))
         return found
 
-    async def _switch(self, output: str, value: bool, actor: str) -> None:
+    async def _switch(self, output: str, value: bool, actor: str) -> int:
+        """Gives the fleet time by which it was switched: it is read back."""
         controller, _, point = output.partition(".")
         request = OutputRequest(**self._members.fields(actor), output=point, value=value)
         reply = await self._members.ask(controller, "output", request, Reply, ANSWER_S)
         if reply.refused is not None:
             raise refuse(reply.refused)
+        return (await self._state(controller)).read_fleet_ns or 0
 
-    async def _seen(self, before: Mapping[str, bool], wanted: list[str]) -> dict[str, bool]:
-        """All inputs, as soon as those of `wanted` have changed, or after the longest time that this may take."""
-        until_ns = self._clock.now_ns() + SEEN_NS
+    async def _seen(self, since_ns: int, before: Mapping[str, bool], wanted: list[str]) -> dict[str, bool]:
+        """All inputs, as soon as everybody has been read after `since_ns` and those of `wanted` have changed, or after
+        the longest time that this may take."""
+        controllers = self._view.fleet.controllers
+        period_s = max(1.0 / controllers[name].state.idle_hz for name in _with_inputs(self._view.fleet))
+        until_ns = self._clock.now_ns() + round(period_s * NS_PER_S) + SEEN_NS
         while True:
-            now = await self._inputs()
-            if wanted and all(now[name] != before[name] for name in wanted):
-                # A moment more for those that are wired besides.
-                await sleep_ns(self._clock, 2 * LOOK_NS)
-                return await self._inputs()
+            now, oldest_ns = await self._inputs()
+            if oldest_ns > since_ns and all(now[name] != before[name] for name in wanted):
+                return now
             if self._clock.now_ns() > until_ns:
                 return now
             await sleep_ns(self._clock, LOOK_NS)
 
-    async def _inputs(self) -> dict[str, bool]:
-        """Every named input of the fleet, true: active. Raises `Refuse` for one of a wire that can not be read."""
-        fleet = self._view.fleet
+    async def _inputs(self) -> tuple[dict[str, bool], int]:
+        """Every named input of the fleet, true: active; and when the oldest reading of them was, fleet time. Raises
+        `Refuse` for one of a wire that can not be read."""
         levels: dict[str, bool] = {}
-        for name in _with_inputs(fleet):
-            try:
-                state = await self._view.fresh(name)
-            except BusError as error:
-                raise Refuse("absent", f"{name}: {error}", "is its adapter host running?", name) from None
-            if state.mode == "offline":
-                raise Refuse("offline", f"{name} can not be reached", "check its link", name)
+        read_ns: list[int] = []
+        for name in _with_inputs(self._view.fleet):
+            state = await self._state(name)
             levels |= {f"{name}.{point}": active for point, active in state.inputs.items()}
-        return levels
+            read_ns.append(state.read_fleet_ns or 0)
+        return levels, min(read_ns)
+
+    async def _state(self, name: str) -> ControllerState:
+        try:
+            state = await self._view.fresh(name)
+        except BusError as error:
+            raise Refuse("absent", f"{name}: {error}", "is its adapter host running?", name) from None
+        if state.mode == "offline":
+            raise Refuse("offline", f"{name} can not be reached", "check its link", name)
+        return state
 
 
 def _with_inputs(fleet: Fleet) -> list[str]:

@@ -215,6 +215,20 @@ def test_the_wiring_check_finds_wrong_levels_and_wires_that_nobody_knows_of() ->
     run_fleet(stuck, wired_fleet(), wired=wired_fleet(to=["stage.start"]))
 
 
+def test_the_wiring_check_waits_for_who_is_polled_seldom() -> None:
+    seldom = wired_fleet().to_plain()
+    for controller in seldom["controllers"].values():
+        controller["state"] = {"idle_hz": 0.3}
+
+    async def main(fleet: VirtualFleet) -> None:
+        found = {each.input: each for each in await fleet.client().check_wiring()}
+        assert found["stage.start"].ok
+        assert not found["portal.start"].ok and "although" in found["portal.start"].text
+
+    seldom["wiring"][0]["to"] = ["stage.start"]
+    run_fleet(main, Fleet.model_validate(seldom), wired=wired_fleet())
+
+
 def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
