@@ -80,7 +80,12 @@ def pause(job_id: str, now: bool, connect: str, fleet: str | None) -> None:
 
 @click.command(epilog="Example: tutti job resume 3f2a91c0 --from-step 4")
 @_JOB
-@click.option("--from-step", type=click.IntRange(0), default=None, help="Of an ended job: do it again from here on.")
+@click.option(
+    "--from-step",
+    type=click.IntRange(0),
+    default=None,
+    help="Of an ended job: do it again from here on; `tutti job show` numbers them, from 0.",
+)
 @_yes
 @fleet_options
 @json_option

@@ -136,9 +136,7 @@ def job_line(job: Progress) -> str:
     reason = f" ({job.reason})" if job.reason else ""
     if job.state in ENDED:
         return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}{reason}"
-    return (
-        f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, step {job.step + 1}/{job.steps} {job.step_name}{reason}"
-    )
+    return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, {_step(job)}{reason}"
 
 
 def job_bar(job: Progress) -> RenderableType:
@@ -157,6 +155,11 @@ def job_bar(job: Progress) -> RenderableType:
     left = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
     grid.add_row(
         ProgressBar(total=1.0, completed=job.fraction, width=24),
-        f"step {job.step + 1}/{job.steps} {job.step_name}{left}",
+        f"{_step(job)}{left}",
     )
     return Group(head, grid)
+
+
+def _step(job: Progress) -> str:
+    """Numbered as reasons and reports number it, and as `--from-step` takes it."""
+    return f"step {job.step} {job.step_name}, {job.step + 1} of {job.steps}"

@@ -54,3 +54,10 @@ def test_a_long_queue_is_cut_behind_what_runs() -> None:
     view.take(progress("zzzz", "running"))
     shown = screen(view)
     assert "zzzz" in shown and "and 4 more jobs" in shown
+
+
+def test_a_step_has_the_number_that_from_step_takes() -> None:
+    view = LiveView(Keys("lab"))
+    line = view.take(progress("aaaa", "running", 1))
+    assert line is not None and "step 1 move, 2 of 3" in line
+    assert "step 1 move, 2 of 3" in screen(view)
