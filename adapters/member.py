@@ -102,10 +102,10 @@ class Member:
 
     async def propose(self, request: Propose) -> Proposal:
         """Lower the profiles without touching the controller."""
-        self._asked_ns = self._clock.now_ns()
         async with self._lowering:
             await asyncio.sleep(0)
             self._check(request)
+            self._asked_ns = self._clock.now_ns()
             mapping = self._driver.mapping()
             lowered = self._driver.lower(request.profiles, request.start, mapping)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
@@ -125,7 +125,6 @@ class Member:
 
     async def arm(self, request: Arm) -> Armed:
         """Load the move for T0, with the clock mapping of this moment frozen into it."""
-        self._asked_ns = self._clock.now_ns()
         async with self._turn:
             if self.ticket is not None:
                 raise CannotDo(
@@ -136,6 +135,7 @@ class Member:
                 # A turn of the loop, for all that came while the last one was lowered.
                 await asyncio.sleep(0)
                 self._check(request)
+                self._asked_ns = self._clock.now_ns()
                 scale, mapping = self._scale(), self._driver.mapping()
                 t0_ns = scale.host_ns(request.t0_fleet_ns)
                 lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)

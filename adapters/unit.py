@@ -213,14 +213,19 @@ class Unit:
         finally:
             timer.cancel()
         self._poke.clear()
-        while (until_ns := self._member.quiet_until_ns()) is not None:
-            # A stop ends the quiet, and pokes.
+        while (until_ns := self._quiet_until_ns()) is not None:
+            # A stop ends the quiet, and pokes; so does a jog that begins.
             alarm = self._clock.call_at_ns(until_ns + NS_PER_MS, self._poke.set)
             try:
                 await self._poke.wait()
             finally:
                 alarm.cancel()
             self._poke.clear()
+
+    def _quiet_until_ns(self) -> int | None:
+        """Until when it is not polled; None: it is. Who is moved by hand is watched, whatever else is asked of it."""
+        by_hand = self._condition.jogging or self._condition.homing
+        return None if by_hand else self._member.quiet_until_ns()
 
     async def _beat(self) -> None:
         """The adapter's heartbeat while its controller is not polled: it is out of reach, its line is taken, or the

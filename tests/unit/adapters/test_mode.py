@@ -306,3 +306,12 @@ def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> N
 
     run_virtual(main)
     assert len(taken) == 1
+
+
+@pytest.mark.parametrize(("by_hand", "until_ns"), [("", 7), ("jogging", None), ("homing", None)])
+def test_who_is_moved_by_hand_is_polled_whatever_else_is_asked_of_it(by_hand: str, until_ns: int | None) -> None:
+    condition = Condition(CONFIG, faults=[])
+    if by_hand:
+        getattr(condition, by_hand).add("x")
+    unit = SimpleNamespace(_condition=condition, _member=SimpleNamespace(quiet_until_ns=lambda: 7))
+    assert Unit._quiet_until_ns(cast(Unit, unit)) == until_ns
