@@ -13,15 +13,21 @@ from orchestrator.model.state import ControllerState
 SECONDS = 10
 
 
+async def polled(clock: VirtualClock, **rates: float) -> VirtualFleet:
+    """One controller, `a`, that is read as often as `rates` say."""
+    controllers = {"a": {**smc4000(0), "state": rates}}
+    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
+    virtual = VirtualFleet(fleet, clock, 1)
+    await virtual.start()
+    return virtual
+
+
 def states_in(idle_hz: float) -> int:
     """How many states a controller at rest has put in `SECONDS`."""
-    controllers = {"a": {**smc4000(0), "state": {"idle_hz": idle_hz}}}
-    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
 
     async def main(clock: VirtualClock) -> int:
         heard: list[Sample] = []
-        virtual = VirtualFleet(fleet, clock, 1)
-        await virtual.start()
+        virtual = await polled(clock, idle_hz=idle_hz)
         await virtual.net.join("watcher").subscribe(virtual.keys.state(), heard.append)
         await sleep_ns(clock, SECONDS * NS_PER_S)
         return len(heard)
@@ -40,12 +46,9 @@ def test_who_is_polled_seldom_is_heard_of_all_the_same() -> None:
 
 def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
     """From its T0 on: that it has begun, or has not, is not seen a slow poll later."""
-    controllers = {"a": {**smc4000(0), "state": {"idle_hz": 0.2, "moving_hz": 10.0}}}
-    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
 
     async def main(clock: VirtualClock) -> None:
-        virtual = VirtualFleet(fleet, clock, 1)
-        await virtual.start()
+        virtual = await polled(clock, idle_hz=0.2, moving_hz=10.0)
         await outcome(virtual, job("[{do: enable, axes: [a]}, {do: home, axes: [a]}]"))
         told_ns: list[int] = []
         polled_ns: list[int] = []
@@ -73,12 +76,9 @@ def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
 
 def test_who_is_asked_for_a_step_is_not_polled_until_it_begins_and_at_once_after_a_stop() -> None:
     """Though it is polled every 20 ms else: the arming's own looks are enough, and a stop is to be seen to its end."""
-    controllers = {"a": {**smc4000(0), "state": {"idle_hz": 50.0}}}
-    fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "beats", "controllers": controllers})
 
     async def main(clock: VirtualClock) -> None:
-        virtual = VirtualFleet(fleet, clock, 1)
-        await virtual.start()
+        virtual = await polled(clock, idle_hz=50.0)
         await outcome(virtual, job("[{do: enable, axes: [a]}, {do: home, axes: [a]}]"))
         states: list[ControllerState] = []
         await virtual.net.join("watcher").subscribe(
