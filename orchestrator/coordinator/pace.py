@@ -15,7 +15,8 @@ KNOWN = 16  # steps from which on what was seen counts
 KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
 GO_ROOM = 1.25  # the same behind the decision, where arming again begins only when all are unloaded
-SLOW_GO = 2  # times what promises take: of go there is one exchange more
+# Times what promises have taken just now: go is one exchange more; what holds a machine up once mostly lets go of it soon.
+SLOW_GO = 1.5
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
 LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again
@@ -83,7 +84,7 @@ class Pace:
     def go_ns(self, members: int, promise_ns: int = 0) -> int:
         """What decision and release alone are given, of so many members. promise_ns: how long their promises have taken
         just now: a machine that was slow a moment ago still is."""
-        return max(round(self._goes_ns.allow(_unknown_ns(members) / 2, room=GO_ROOM)), SLOW_GO * promise_ns)
+        return round(max(self._goes_ns.allow(_unknown_ns(members) / 2, room=GO_ROOM), SLOW_GO * promise_ns))
 
     def margin_ns(self, members: int, known: bool = True) -> int:
         """What promise, decision and release are given, of so many members."""
