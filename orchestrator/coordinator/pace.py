@@ -15,7 +15,7 @@ KNOWN = 16  # steps from which on what was seen counts
 KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
 ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
 GO_ROOM = 1.25  # the same behind the decision, where arming again begins only when all are unloaded
-# Times what promises have taken just now: go is one exchange more; what holds a machine up once mostly lets go of it soon.
+# Times what promises have just taken: go is an exchange more, but what holds a machine up once mostly lets go soon.
 SLOW_GO = 1.5
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
 EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
