@@ -6,6 +6,7 @@ from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 
 from adapters.contract import CannotDo, DriverFault, Identity, Restarted
 from adapters.yaskawa import arrays
+from adapters.yaskawa.gate import Gate
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THREAD, VARIABLES, letters, program
@@ -45,6 +46,7 @@ class Device:
         self._format: RecordFormat | None = None
         self._close_link = lambda: asyncio.sleep(0)
         # It outlives the links: only so can a power cycle be told from a broken cable.
+        self.gate = Gate.of(options)
         late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
         self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S, late_ns)
         self._restarted = False
@@ -57,6 +59,11 @@ class Device:
     def sharing(self) -> int:
         """How many controllers take turns on its line."""
         return 1
+
+    @property
+    def release_ns(self) -> int:
+        """So long before the start its release must be on its way."""
+        return round(self.gate.release * self.samples.tick_ns)
 
     # Reaching it
 
@@ -106,7 +113,7 @@ class Device:
         await link.close()
 
     async def _install_program(self) -> None:
-        session, wanted = self.session, program(self.format.axes)
+        session, wanted = self.session, program(self.format.axes, self.gate)
         present = [line.rstrip() for line in await session.ask_all("UL")]
         if present == list(wanted):
             # Ours may still wait for a start that nobody will release any more, or play a contour to its end.

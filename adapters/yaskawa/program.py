@@ -1,10 +1,10 @@
 """The program that lives in the controller: it waits behind a gate, and begins at a sample of the controller's own.
 
-For each set of axes (bit 0 is X), because BG of an axis that is off is refused for all (L3071): an entry `#S<mask>`
-for independent moves, and one `#C<mask>` that plays a contour out of the arrays. The gate polls XGO through a
-trip-point, so that it costs the interpreter little, and is decided GATE_TICKS before the start, or up to a round of its
-loop later: in the last milliseconds nothing but `WT` is under way, and BG or the first CD follows it on the same line
-with nothing between. Contour mode is entered before.
+For each set of axes (bit 0 is X), because BG of an axis that is off is refused for all (L3071): an entry `#S<mask>` for
+independent moves, and one `#C<mask>` that plays a contour out of the arrays. The gate polls XGO through a trip-point,
+so that it costs the interpreter little, and is decided some samples before the start (see `gate.py`): in the last
+milliseconds nothing but `WT` is under way, and BG or the first CD follows it on the same line with nothing between.
+Contour mode is entered before.
 
 A contour's records after the first follow in a loop whose next CD comes right after WC has let go (L11717), so that
 the whole length of a record is there for it. `#DOG` runs beside a step in a thread of its own, from after its start to
@@ -26,17 +26,12 @@ Names begin with X and no op-code, so that no assignment can be taken for a comm
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
+from adapters.yaskawa.gate import STEP_TICKS, Gate
 from adapters.yaskawa.record import AXIS_LETTERS
 
 STEP_THREAD = 0
 DOG_THREAD = 1
 EDGE_THREAD = 3
-GATE_STEP_TICKS = 4
-# At most so long after it opens, the program has seen it: one round of the loop, at half a millisecond a command.
-GATE_SEEN_TICKS = GATE_STEP_TICKS + 6
-GATE_ROUND_TICKS = GATE_STEP_TICKS + 2  # as a rule it has by then: the wait, the jump, and the line behind it
-START_ROOM_TICKS = 9  # from the gate to the wait there are eight commands
-GATE_TICKS = START_ROOM_TICKS + GATE_SEEN_TICKS  # who opens it just in time is still seen, and waits in time
 DOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # a record's round: WC, CD, count, jump
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
@@ -66,7 +61,7 @@ def letters(mask: int) -> str:
     return "".join(letter for index, letter in enumerate(AXIS_LETTERS) if mask >> index & 1)
 
 
-def program(axes: int) -> tuple[str, ...]:
+def program(axes: int, gate: Gate) -> tuple[str, ...]:
     """The program's lines for a controller of `axes` axes."""
     lines = ["#TUTTI;EN"]
     for mask in range(1 << axes):
@@ -81,8 +76,8 @@ def program(axes: int) -> tuple[str, ...]:
     lines += [
         *edge(),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
-        f"#HOLD;WT {GATE_STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{GATE_TICKS})",
-        f"XOK=XGO&((XT0-TIME)>{START_ROOM_TICKS})",
+        f"#HOLD;WT {STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{gate.decided})",
+        f"XOK=XGO&((XT0-TIME)>{gate.room})",
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
         f"#DOG;WT {DOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(_HX{STEP_THREAD}>0)",
@@ -127,6 +122,6 @@ def edge() -> tuple[str, ...]:
     """The lines that drive a wired line: once the gate has let the step through, active at its sample, and passive
     again later. In a thread of its own, for BG follows the wait of the step's with nothing between."""
     return (
-        f"#EDGE;WT {GATE_STEP_TICKS};JP #SHUT,XLATE=1;JP #EDGE,XOK=0",
+        f"#EDGE;WT {STEP_TICKS};JP #SHUT,XLATE=1;JP #EDGE,XOK=0",
         "WT XT0-TIME;OB XLO,XLV;WT XLH;OB XLO,1-XLV;EN",
     )

@@ -6,6 +6,7 @@ from contextlib import AbstractAsyncContextManager
 from adapters.contract import DriverFault, Identity, Restarted
 from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
+from adapters.yaskawa.gate import Gate
 from adapters.yaskawa.line import Line
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.program import RELEASE
@@ -45,6 +46,7 @@ class SerialDevice(Device):
         outputs: int,
     ) -> None:
         super().__init__(clock, open_link, options, max(axes) + 1)
+        self.gate = Gate.of(options, smc2000_program.BESIDE)
         self._serial_options = options
         self._line = line
         self._unit = unit
@@ -97,7 +99,7 @@ class SerialDevice(Device):
 
     async def _install(self) -> None:
         session, chained = self.session, self._unit is not None
-        wanted = smc2000_program.program(self._axes, chained, self._inputs, self._outputs)
+        wanted = smc2000_program.program(self._axes, chained, self._inputs, self._outputs, self.gate)
         await self._unload_ours()
         if not await self._holds(wanted):
             await self._require_no_other()

@@ -26,7 +26,7 @@ from adapters.yaskawa.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCA
 from adapters.yaskawa.serial_device import SerialDevice, stop_commands
 from adapters.yaskawa.settings import configure
 from adapters.yaskawa.smc2000_options import Smc2000Options
-from adapters.yaskawa.smc2000_program import AXES_MOST, GATE_TICKS, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
+from adapters.yaskawa.smc2000_program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000_start import SerialStart
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
@@ -47,7 +47,6 @@ EXCHANGE_CHARACTERS = 36
 POLL_CHARACTERS = 24, 24  # of a poll's line, and more for each axis
 ARM_EXCHANGES = 9
 DISARM_EXCHANGES = 8  # what must fit in before the start: promise, release, and taking it all back
-GATE_NS = GATE_TICKS * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 AFTER_START_NS = 3 * NS_PER_MS  # for the program to note its start
 NAMES = (LETTERS, SECOND_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D), E, F, G, H"
@@ -102,8 +101,8 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
             by_turns=True,
-            # The gate is decided before the quiet time, and a release must reach it by then.
-            disarm_ns=GATE_NS + DISARM_EXCHANGES * exchange_ns,
+            # A release must reach the gate before it is decided.
+            disarm_ns=round(self._device.gate.decided * self._device.samples.tick_ns) + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,
         )
         orders = (2, 3) if self._contoured else (2,)

@@ -11,14 +11,13 @@ one is off.
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
+from adapters.yaskawa.gate import STEP_TICKS, Gate
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.program import (
     CONTOUR_VARIABLES,
     DOG_STEP_TICKS,
     DOG_THREAD,
-    GATE_STEP_TICKS,
     LINE_VARIABLES,
-    START_ROOM_TICKS,
     STEP_THREAD,
     TAIL,
     array,
@@ -29,7 +28,7 @@ from adapters.yaskawa.program import (
 from adapters.yaskawa.serial_session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048
-GATE_TICKS = 24  # its round is two commands longer, and on a serial line the others' commands come between
+BESIDE = 9  # commands: two more in a look at the gate, and those of others on a serial line
 POLL = "XQ#P,2"
 HEADING = "#TUTTI"
 AXES_MOST = 6  # the sets of more axes would need more than 254 labels (L3347)
@@ -78,12 +77,12 @@ def head(chained: bool, inputs: int, outputs: int) -> list[str]:
     ]
 
 
-def program(axes: Sequence[int], chained: bool, inputs: int, outputs: int) -> tuple[str, ...]:
+def program(axes: Sequence[int], chained: bool, inputs: int, outputs: int, gate: Gate) -> tuple[str, ...]:
     """The program's lines. axes: indices of the motors; inputs, outputs: how many words of them are printed."""
-    return (*_starts(axes), *_printing(axes, head(chained, inputs, outputs)))
+    return (*_starts(axes, gate), *_printing(axes, head(chained, inputs, outputs)))
 
 
-def _starts(axes: Sequence[int]) -> Iterable[str]:
+def _starts(axes: Sequence[int], gate: Gate) -> Iterable[str]:
     yield f"{HEADING};EN"
     for count in range(len(axes) + 1):
         for chosen in combinations(axes, count):
@@ -101,8 +100,8 @@ def _starts(axes: Sequence[int]) -> Iterable[str]:
     yield "XDONE=1;EN"
     yield from edge()
     yield "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0"
-    yield f"#HOLD;WT {GATE_STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{GATE_TICKS}"
-    yield f"#PASS;XR=XT0-TIME;JP#LATE,XR<={START_ROOM_TICKS};XOK=XGO"
+    yield f"#HOLD;WT {STEP_TICKS};JP#PASS,XGO=1;XR=XT0-TIME;JP#HOLD,XR>{gate.decided}"
+    yield f"#PASS;XR=XT0-TIME;JP#LATE,XR<={gate.room};XOK=XGO"
     yield "#LATE;XLATE=1-XOK;EN"
     yield "#SHUT;EN"
     yield f"#DOG;WT {DOG_STEP_TICKS};JP#BITE,TIME>=XDL;JP#DOG,_HX{STEP_THREAD}>0"

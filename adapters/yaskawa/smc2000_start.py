@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 from adapters.yaskawa.lowering import AxisMove, LoweredMoves, Records
 from adapters.yaskawa.record import Record
-from adapters.yaskawa.smc2000_program import GATE_TICKS
 from adapters.yaskawa.start import Start
 
 CONTOUR_END = 51  # of SC (L11427-11493)
@@ -15,7 +14,6 @@ class SerialStart(Start):
 
     # Threads take turns command by command: a poll's comes before each of the two, and the last records are short.
     LATE_TICKS = 8
-    GATE_TICKS = GATE_TICKS
 
     def _registers(self, lowered: LoweredMoves) -> Mapping[str, Mapping[int, int]]:
         """The ends, too: PA reads as the place where the axis stands, but PR as the way to go (L10760, L10845)."""

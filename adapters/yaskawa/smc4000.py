@@ -19,7 +19,6 @@ from adapters.yaskawa.dialect import motor_indices
 from adapters.yaskawa.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.lowering import CLASSES, STOP_EXCHANGES, LoweredMoves, lower_moves
 from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import GATE_TICKS
 from adapters.yaskawa.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
@@ -29,8 +28,8 @@ from adapters.yaskawa.record import (
     AxisRecord,
 )
 from adapters.yaskawa.settings import configure
-from adapters.yaskawa.start import RELEASE_TICKS, Start
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from adapters.yaskawa.start import Start
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, SerialLink, UdpLink
 from orchestrator.model.messages import StartWay
@@ -44,7 +43,6 @@ LONGEST_EXCHANGE = 80  # characters, to and fro
 POINTS = 8  # inputs, outputs (L390, L470)
 ARM_EXCHANGES = 14
 DISARM_EXCHANGES = 5
-RELEASE_NS = (GATE_TICKS + RELEASE_TICKS) * NS_PER_MS  # a sample is a little less than a millisecond at TM 1000
 NAMES = (AXIS_LETTERS[:AXES], RECORD_LETTERS)
 MOTORS = "X, Y, Z, W (or A, B, C, D)"
 WAITS_FOR_MORE = ("DL", "ED", "QD", "IN")  # after these the controller takes no commands
@@ -93,7 +91,7 @@ class SMC4000Driver(YaskawaDriver[Device]):
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
             # A release must be told before the gate is decided; who went through it can be halted up to the start.
-            disarm_ns=max(RELEASE_NS, DISARM_EXCHANGES * exchange_ns),
+            disarm_ns=max(self._device.release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         return Capabilities(start_classes=CLASSES, orders=(2, 3), independent_axes=False, costs=costs)

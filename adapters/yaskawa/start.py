@@ -11,9 +11,6 @@ from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import (
     DOG_THREAD,
     EDGE_THREAD,
-    GATE_ROUND_TICKS,
-    GATE_SEEN_TICKS,
-    GATE_TICKS,
     STEP_THREAD,
     entry,
 )
@@ -23,7 +20,6 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_
 from orchestrator.clock.estimator import TickMapping
 
 TICKS_MAX = 2_147_483_647  # L10613
-RELEASE_TICKS = 8  # before the gate is decided: by then the release must be on its way
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
 WATCH_NS = 100 * NS_PER_MS
 FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
@@ -46,18 +42,12 @@ class Start:
 
     LATE_TICKS = 4
     """Of a contour's stamps: from the last record to its stamp there are two commands."""
-    GATE_TICKS = GATE_TICKS
 
     def __init__(self, device: Device, clock: Clock, options: Options) -> None:
         self._device = device
         self._clock = clock
         self._options = options
         self._loaded: _Loaded | None = None
-
-    @property
-    def _still_to_come(self) -> int:
-        """Samples before the start in which the gate can still be opened."""
-        return self.GATE_TICKS + RELEASE_TICKS
 
     # Before T0
 
@@ -73,7 +63,7 @@ class Start:
         ticks = round(mapping.ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise CannotDo("counter-full", "the sample counter ends before the start", "restart the controller")
-        if mapping.ticks(began_ns) > ticks - self._still_to_come:
+        if mapping.ticks(began_ns) > ticks - self._device.gate.release:
             raise CannotDo("late", "T0 is too near to arm", "give more lead time")
         loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
         await self._device.stops_carried_out()
@@ -170,10 +160,10 @@ class Start:
             loaded.t0_ns -= sooner_ns
             told = [f"XT0={loaded.ticks}", self._food(loaded.ticks), *told]
             asked.append("XT0")
-        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._still_to_come:
+        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release:
             raise CannotDo("late", "it is too late to release the start", "give more lead time")
         opened_ns = await session.tell_all(told)
-        await sleep_until_ns(self._clock, opened_ns + round(GATE_ROUND_TICKS * loaded.mapping.tick_ns))
+        await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.soon * loaded.mapping.tick_ns))
         while True:
             (passed, late, running, *ticks), _ = await session.numbers(*asked)
             if ticks and ticks[0] != loaded.ticks:
@@ -184,7 +174,7 @@ class Start:
                 raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
             if passed:
                 return
-            await sleep_ns(self._clock, round(GATE_SEEN_TICKS * loaded.mapping.tick_ns / 4))
+            await sleep_ns(self._clock, round(self._device.gate.seen * loaded.mapping.tick_ns / 4))
 
     async def disarm(self) -> None:
         """Nothing starts from the program, now or later."""

@@ -10,7 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from adapters.yaskawa.smc4000 import RELEASE_NS
+from adapters.yaskawa.gate import Gate
+from adapters.yaskawa.options import Options
 from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
@@ -30,6 +31,7 @@ AXES = {"x": "X", "y": "Y", "z": "Z", "w": "W"}
 DISTANCE = 2.0  # mm
 P99_MS = 300.0
 LEAD_MS = 100.0
+SAMPLE_MS = 1000 / 1024  # of an SMC-4000
 PARTS = {
     "accept": ("", "queued"),
     "plan": ("queued", "arming"),
@@ -119,7 +121,7 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
         parts={name: spread([each.parts[name] for each in counted]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
-        virtual_path_ms=round((sum(virtual.parts.values()) + RELEASE_NS) / 1e6, 1),
+        virtual_path_ms=round(sum(virtual.parts.values()) / 1e6 + Gate.of(Options()).release * SAMPLE_MS, 1),
         simulators_cpu=round(sims_s / all_s, 2) if all_s else 0.0,
         noise=noise.spread(),
     )

@@ -2,6 +2,7 @@
 and as exactly as it promises. Who is late to go is armed again, as long as nobody has begun."""
 
 import json
+from collections.abc import Callable
 from typing import Any, cast
 
 import pytest
@@ -9,9 +10,10 @@ from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 
 from adapters.member import STOPS_NS, Member
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.moving import Moving
 from orchestrator.coordinator.proposing import SLIP, Proposing
-from orchestrator.lab.sync_fleets import sync_fleet
+from orchestrator.lab.sync_fleets import smc2000, smc4000, sync_fleet
 from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
@@ -145,3 +147,26 @@ def test_who_is_late_to_go_is_armed_again_if_nobody_has_begun(monkeypatch: pytes
         assert report.steps[0].t0_fleet_ns is not None and report.steps[0].settled_fleet_ns is not None
 
     run_fleet(main)
+
+
+@pytest.mark.parametrize("make", [smc4000, smc2000])
+@pytest.mark.parametrize("period_us", [250, 2000, 5000])
+def test_with_another_servo_period_a_step_begins_as_promised_too(
+    period_us: int, make: Callable[[int], dict[str, Any]]
+) -> None:
+    """TM: what is told before the start takes its time, however many samples that is."""
+    plain = {f"a{k}": {**make(k), "options": {"servo_period_us": period_us}} for k in range(2)}
+
+    async def main(clock: VirtualClock) -> None:
+        whole = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "period", "controllers": plain})
+        fleet = VirtualFleet(whole, clock, 1)
+        for unit in fleet.controllers.values():
+            cast(Any, unit).machine.memory.burn_period(period_us)
+        await fleet.start()
+        axes = ["a0.x", "a1.x"]
+        await prepared(fleet, axes)
+        for k in range(4):
+            begins_as_promised(fleet, await moved(fleet, axes, -20.0 if k % 2 else 20.0))
+        assert not any("arming again" in line for line in fleet.lines)
+
+    run_virtual(main)

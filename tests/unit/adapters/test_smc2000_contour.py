@@ -12,7 +12,9 @@ from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, World, run, run_
 
 from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.dialect import MAX_LINE
-from adapters.yaskawa.smc2000_program import LETTERS, arrays, program, variables
+from adapters.yaskawa.gate import Gate
+from adapters.yaskawa.smc2000_options import Smc2000Options
+from adapters.yaskawa.smc2000_program import BESIDE, LETTERS, arrays, program, variables
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -359,7 +361,7 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
 @pytest.mark.parametrize("count", range(1, 7))
 def test_the_resident_program_fits_into_the_controller(count: int):
     axes = tuple(range(len(LETTERS) - count, len(LETTERS)))
-    lines = program(axes, True, 3, 1)
+    lines = program(axes, True, 3, 1, Gate.of(Smc2000Options(servo_period_us=250, decode_us=2000), BESIDE))
     assert len(lines) <= LINES_MOST
     assert all(len(line) <= MAX_LINE for line in lines)
     labels = [line.split(";")[0] for line in lines if line.startswith("#")]

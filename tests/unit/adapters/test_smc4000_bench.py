@@ -77,12 +77,13 @@ def run(
     fleet: dict[str, Any] | None = None,
     options: dict[str, Any] | None = None,
     ppm: float = 40.0,
+    decode_ns: int = 500_000,
 ) -> Any:
     async def within(clock: Clock) -> Any:
         config = Controller.model_validate(fleet or FLEET)
         MAKE.check(config)
         oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
-        timing = Timing(decode_ns=500_000, spread_ns=50_000)
+        timing = Timing(decode_ns=decode_ns, spread_ns=50_000)
         controller = SMC4000.build(clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
         wire = MemoryWire(clock, LAN, controller, "tcp", "smc", copy_context(), seed)
 

@@ -1,11 +1,15 @@
 """The SMC-4000's driver against the simulated controller, in virtual time; verdicts by the simulator's truth."""
 
+from functools import partial
 from random import Random
+from typing import Any, cast
 
 import pytest
-from unit.adapters.test_smc4000_bench import World, run, trapezoid
+from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
 
 from adapters.contract import CannotDo, DriverFault
+from adapters.yaskawa.gate import Gate
+from adapters.yaskawa.options import Options
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile
@@ -86,6 +90,41 @@ def test_the_gate_never_opened_means_no_motion():
         assert not world.controller.motions
 
     run(main)
+
+
+@pytest.mark.parametrize(("period_us", "decode_us"), [(250, 500), (1000, 500), (5000, 500), (250, 1500), (1000, 3000)])
+def test_a_release_at_the_last_moment_begins_in_time_or_not_at_all(period_us: int, decode_us: int):
+    begun: list[bool] = []
+
+    async def main(world: World, before_ns: int) -> None:
+        cast(Any, world.controller).machine.memory.burn_period(period_us)
+        await world.ready()
+        mapping = world.driver.mapping()
+        t0_ns = world.clock.now_ns() + NS_PER_S
+        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(lead_ns=NS_PER_S), mapping)
+        await world.driver.arm(lowered, t0_ns, mapping)
+        await sleep_until_ns(world.clock, t0_ns - before_ns)
+        try:
+            await world.driver.go()
+        except CannotDo as refusal:
+            assert refusal.refusal.code == "late"
+        else:
+            begun.append(True)
+            await world.driver.started()
+            (motion,) = world.controller.motions
+            off_ns = motion.start_ns - t0_ns
+            assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
+            return
+        begun.append(False)
+        await sleep_ns(world.clock, NS_PER_S)
+        assert not world.controller.motions
+
+    options = {"servo_period_us": period_us, "decode_us": decode_us + 50, "begin_max_us": 3 * decode_us}
+    release_ns = round(Gate.of(Options.model_validate(options)).release * period_us * 1000 / 1.024)
+    for k in range(-10, 40):
+        late = partial(main, before_ns=release_ns - k * 400_000)
+        run(late, seed=k + 20, fleet={**FLEET, "options": options}, decode_ns=1000 * decode_us)
+    assert begun[0] and not begun[-1]
 
 
 @pytest.mark.parametrize("abort", [False, True])

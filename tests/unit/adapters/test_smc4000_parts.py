@@ -8,7 +8,9 @@ from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoi
 
 from adapters.contract import CannotDo
 from adapters.yaskawa.dialect import MAX_LINE
+from adapters.yaskawa.gate import Gate
 from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
+from adapters.yaskawa.options import Options
 from adapters.yaskawa.program import VARIABLES, program
 from adapters.yaskawa.session import parse_reply
 from adapters.yaskawa.smc4000 import MAKE
@@ -100,8 +102,21 @@ def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
     assert "axis x" in refusal.value.refusal.text
 
 
+@pytest.mark.parametrize(
+    ("period_us", "decode_us", "gate"),
+    [
+        (1000, 500, Gate(room=9, soon=6, seen=10, decided=19, release=27)),
+        (250, 100, Gate(room=33, soon=11, seen=27, decided=60, release=91)),  # commands take no less for it
+        (1000, 1000, Gate(room=17, soon=8, seen=16, decided=33, release=49)),
+        (20000, 500, Gate(room=1, soon=5, seen=5, decided=6, release=7)),
+    ],
+)
+def test_the_gate_leaves_its_commands_their_time_whatever_a_sample_is(period_us: int, decode_us: int, gate: Gate):
+    assert Gate.of(Options(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100)) == gate
+
+
 def test_the_program_keeps_the_controllers_rules():
-    lines = program(4)
+    lines = program(4, Gate.of(Options(servo_period_us=250, decode_us=2000)))
     labels = [line.split(";")[0] for line in lines if line.startswith("#")]
     assert len(lines) <= 2000 and all(len(line) <= MAX_LINE for line in lines)
     assert all(1 < len(label) <= 8 for label in labels) and len(set(labels)) == len(labels)
