@@ -13,8 +13,8 @@ from adapters.yaskawa.program import DOG_THREAD, EDGE_THREAD, RELEASE, STEP_THRE
 from adapters.yaskawa.record import AXIS_LETTERS, Record, RecordFormat
 from adapters.yaskawa.session import REVISION, Refused, Session, message, parse_numbers
 from adapters.yaskawa.stops import SharedStops, StopHandle
-from adapters.yaskawa.ticks import SAMPLES_PER_S, SampleClock
-from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock, sleep_ns
+from adapters.yaskawa.ticks import SampleClock
+from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 THREADS = 8  # L12258
@@ -23,6 +23,9 @@ CONTOURING = 1 << 5  # of TB (L10224)
 
 class Device:
     """One controller. Its commands and polls share one handle; stops have one of their own, where there can be two."""
+
+    BESIDE = 0
+    """Commands that may come into a look at its gate (see `Gate`)."""
 
     def __init__(
         self,
@@ -45,10 +48,10 @@ class Device:
         self._stops: StopHandle | SharedStops | None = None
         self._format: RecordFormat | None = None
         self._close_link = lambda: asyncio.sleep(0)
+        self.gate = Gate.of(options, self.BESIDE)
         # It outlives the links: only so can a power cycle be told from a broken cable.
-        self.gate = Gate.of(options)
         late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
-        self.samples = SampleClock(options.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S, late_ns)
+        self.samples = SampleClock(options.tick_ns, late_ns)
         self._restarted = False
         self._must_reconnect = False
         # How many stops each axis has been given: what was on its way when one came must not begin a motion after it.
@@ -59,11 +62,6 @@ class Device:
     def sharing(self) -> int:
         """How many controllers take turns on its line."""
         return 1
-
-    @property
-    def release_ns(self) -> int:
-        """So long before the start its release must be on its way."""
-        return round(self.gate.release * self.samples.tick_ns)
 
     # Reaching it
 

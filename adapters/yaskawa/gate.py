@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from adapters.yaskawa.options import Options
+from orchestrator.clock.base import NS_PER_US
 
 STEP_TICKS = 4  # between two looks
 COMMAND_US = 500  # about half a millisecond (SMC-4000: L1626); no gate counts on less
@@ -32,11 +33,10 @@ class Gate:
     @classmethod
     def of(cls, options: Options, beside: int = 0) -> "Gate":
         """beside: commands that a look takes besides, or others' that may come into it."""
-        tick_us = options.servo_period_us * 1000 / 1024  # L10619
-        command_us = max(COMMAND_US, options.decode_us)
+        command_ns = max(COMMAND_US, options.decode_us) * NS_PER_US
 
         def ticks(commands: int) -> int:
-            return ceil(commands * command_us / tick_us)
+            return ceil(commands * command_ns / options.tick_ns)
 
         room, seen = ticks(ROOM), STEP_TICKS + ticks(SEEN)
         decided = room + seen + ticks(beside)

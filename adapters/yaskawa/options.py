@@ -5,7 +5,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from orchestrator.clock.base import NS_PER_US
+from adapters.yaskawa.ticks import SAMPLES_PER_S
+from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.model.base import Id, Model
 
 Microseconds = Annotated[int, Field(ge=0, le=1_000_000)]
@@ -65,6 +66,11 @@ class Options(Model):
         latest_us = self.begin_max_us + (self.beside_us if beside else 0)
         first = math.floor(self.decode_min_us * NS_PER_US / tick_ns) + 1
         return first, max(first, math.floor(latest_us * NS_PER_US / tick_ns) + 1)
+
+    @property
+    def tick_ns(self) -> float:
+        """A sample as the unit is set up."""
+        return self.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S
 
     @property
     def beside_us(self) -> int:

@@ -6,7 +6,6 @@ from contextlib import AbstractAsyncContextManager
 from adapters.contract import DriverFault, Identity, Restarted
 from adapters.yaskawa import arrays, smc2000_program
 from adapters.yaskawa.device import Device
-from adapters.yaskawa.gate import Gate
 from adapters.yaskawa.line import Line
 from adapters.yaskawa.model import LEAVE_CONTOUR
 from adapters.yaskawa.program import RELEASE
@@ -34,6 +33,8 @@ SWITCHES = 1 << 3 | 1 << 2  # forward, reverse; 1 = inactive, whatever CN says
 class SerialDevice(Device):
     """One controller of a serial line. axes: indices of its motors; inputs, outputs: words of them that are polled."""
 
+    BESIDE = smc2000_program.BESIDE
+
     def __init__(
         self,
         line: Line,
@@ -46,7 +47,6 @@ class SerialDevice(Device):
         outputs: int,
     ) -> None:
         super().__init__(clock, open_link, options, max(axes) + 1)
-        self.gate = Gate.of(options, smc2000_program.BESIDE)
         self._serial_options = options
         self._line = line
         self._unit = unit

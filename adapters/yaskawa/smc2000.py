@@ -102,7 +102,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             arm_ns=ARM_EXCHANGES * exchange_ns,
             by_turns=True,
             # A release must reach the gate before it is decided.
-            disarm_ns=round(self._device.gate.decided * self._device.samples.tick_ns) + DISARM_EXCHANGES * exchange_ns,
+            disarm_ns=round(self._device.gate.decided * self._options.tick_ns) + DISARM_EXCHANGES * exchange_ns,
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._costly.exchange_ns,
         )
         orders = (2, 3) if self._contoured else (2,)

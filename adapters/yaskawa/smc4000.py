@@ -87,11 +87,12 @@ class SMC4000Driver(YaskawaDriver[Device]):
 
     def _work_out_capabilities(self) -> Capabilities:
         exchange_ns = self._options.exchange_ns
+        release_ns = round(self._device.gate.release * self._options.tick_ns)
         ramp_s = max(axis.limits.velocity / axis.limits.acceleration for axis in self._config.axes.values())
         costs = Costs(
             arm_ns=ARM_EXCHANGES * exchange_ns,
             # A release must be told before the gate is decided; who went through it can be halted up to the start.
-            disarm_ns=max(self._device.release_ns, DISARM_EXCHANGES * exchange_ns),
+            disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         return Capabilities(start_classes=CLASSES, orders=(2, 3), independent_axes=False, costs=costs)

@@ -31,7 +31,6 @@ AXES = {"x": "X", "y": "Y", "z": "Z", "w": "W"}
 DISTANCE = 2.0  # mm
 P99_MS = 300.0
 LEAD_MS = 100.0
-SAMPLE_MS = 1000 / 1024  # of an SMC-4000
 PARTS = {
     "accept": ("", "queued"),
     "plan": ("queued", "arming"),
@@ -113,6 +112,8 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
             found.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
         sims_s, all_s = (after - before for before, after in zip(used_s, _cpu_s(live), strict=True))
     counted = found[KEPT + 1 :]
+    options = Options()
+    release_ns = Gate.of(options).release * options.tick_ns
     return DispatchFigures(
         controllers=len(fleet.controllers),
         first_motion=spread([each.first_ns for each in counted], p99_ms=P99_MS),
@@ -121,7 +122,7 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
         parts={name: spread([each.parts[name] for each in counted]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
-        virtual_path_ms=round(sum(virtual.parts.values()) / 1e6 + Gate.of(Options()).release * SAMPLE_MS, 1),
+        virtual_path_ms=round((sum(virtual.parts.values()) + release_ns) / 1e6, 1),
         simulators_cpu=round(sims_s / all_s, 2) if all_s else 0.0,
         noise=noise.spread(),
     )
