@@ -69,7 +69,8 @@ def _priority(sample: zenoh.Sample) -> Priority:
 
 def _direct(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
     """A callback on Zenoh's own network thread, which must only hand over what has come, as an inbox does. By default
-    Zenoh makes a thread for each callback, which for a question means each time that it is asked."""
+    Zenoh makes a thread for each callback, which for a question means each time that it is asked, and which ends
+    some time after its session: if the interpreter ends meanwhile, the process does by SIGABRT."""
     return Callback(arrive, end, indirect=False)
 
 
@@ -107,7 +108,7 @@ class ZenohBus:
         self._asking: list[Outcome] = []
         self._answering: set[asyncio.Task[None]] = set()
         # Kept only so that it is not taken back.
-        self._transports = sure.info.declare_transport_events_listener(self._transport_changed)
+        self._transports = sure.info.declare_transport_events_listener(_direct(self._transport_event))
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._check_open()
@@ -338,11 +339,14 @@ class ZenohBus:
     def _connected(self) -> bool:
         return not self._closed and bool(self._sure.info.routers_zid())
 
-    def _transport_changed(self, event: zenoh.TransportEvent) -> None:
-        if event.kind == zenoh.SampleKind.DELETE:
+    def _transport_event(self, event: zenoh.TransportEvent) -> None:
+        lost = event.kind == zenoh.SampleKind.DELETE
+        self._inbox.add(Priority.EVENT, partial(self._transport_changed, lost))
+
+    def _transport_changed(self, lost: bool) -> None:
+        if lost:
             self._disconnects += 1
-            if not self._closed:
-                _LOG.warning("lost the router at %s; what is put meanwhile is lost", self._endpoint)
+            _LOG.warning("lost the router at %s; what is put meanwhile is lost", self._endpoint)
         elif self._disconnects:
             _LOG.info("the router at %s is back", self._endpoint)
 

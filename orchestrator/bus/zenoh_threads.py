@@ -155,7 +155,9 @@ class Inbox:
 async def off_loop(name: str, call: Callable[[], T]) -> T:
     """Make `call` in a thread of its own, and wait for it. The thread is left behind when the wait is given up.
 
-    The loop's executor would do but for its end: it waits for stuck calls when the loop is closed.
+    The loop's executor would do but for its end: it waits for stuck calls when the loop is closed. `call`, and with it
+    what it holds of Zenoh, is let go before its waiter goes on: a thread that does that while the interpreter ends
+    would end the process by SIGABRT, because it is inside of Zenoh when it may not come back.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
@@ -169,12 +171,14 @@ async def off_loop(name: str, call: Callable[[], T]) -> T:
             done.set_result(result)  # pyright: ignore[reportArgumentType]
 
     def run() -> None:
+        nonlocal call
         result: T | None = None
         failure: Exception | None = None
         try:
             result = call()
         except Exception as error:
             failure = error
+        del call
         # A closed loop has nobody who waits.
         if not loop.is_closed():
             loop.call_soon_threadsafe(settle, result, failure)

@@ -4,6 +4,9 @@ import asyncio
 import gc
 import subprocess
 import sys
+import threading
+import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from bus_worlds import LIMIT_S, LiveWorld, linked, run_live, until
 from orchestrator.bus.base import NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.zenoh_bus import open_bus
 from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable, open_router
+from orchestrator.bus.zenoh_threads import off_loop
 
 FLOOD = 1000
 """Samples of 60 kB that the kernel's socket buffers surely do not hold."""
@@ -129,6 +133,45 @@ asyncio.run(main())
             assert subprocess.run(command, timeout=LIMIT_S, check=False, capture_output=True).returncode == 0
 
     run_live(body)
+
+
+def test_a_bus_has_no_threads_but_its_own() -> None:
+    """One of Zenoh's that comes back to Python while the interpreter ends takes the process with it, by SIGABRT."""
+
+    async def body(world: LiveWorld) -> None:
+        before = set(threading.enumerate())
+        bus = await world.join("a")
+        await bus.subscribe("t/x", lambda _: None)
+        names = {thread.name for thread in set(threading.enumerate()) - before}
+        assert names <= {"bus-state", "bus-events", "bus-open", "bus-declare"}
+
+    run_live(body)
+
+
+def test_what_is_called_off_the_loop_is_let_go_before_its_waiter_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last one who holds a session must not let go of it while the interpreter ends, for the same reason."""
+
+    class Call:
+        def __call__(self) -> None:
+            pass
+
+    async def main() -> None:
+        call = Call()
+        let_go = weakref.ref(call)
+        made = off_loop("call", call)
+        del call
+        loop = asyncio.get_running_loop()
+        wake, held = loop.call_soon_threadsafe, list[bool]()
+
+        def note(callback: Callable[..., object], *values: object) -> None:
+            held.append(let_go() is not None)
+            wake(callback, *values)
+
+        monkeypatch.setattr(loop, "call_soon_threadsafe", note)
+        await made
+        assert held == [False]
+
+    asyncio.run(main())
 
 
 def test_a_fault_of_a_handler_is_answered_and_reported() -> None:
