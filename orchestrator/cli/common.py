@@ -55,6 +55,8 @@ processes_option = click.option(
 def print_json(value: Any) -> None:
     """One JSON document on standard output."""
     sys.stdout.write(json.dumps(value, indent=2) + "\n")
+    # What the end of the interpreter writes is lost when it does not come so far.
+    sys.stdout.flush()
 
 
 def fail(text: str, code: int = FAILED, remedy: str = "") -> NoReturn:

@@ -115,6 +115,7 @@ def test_the_demo_prints_one_object_with_every_step() -> None:
 def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
     """How well is a matter of this machine; that they do, and that the budget names everybody, is not."""
     done = run_tutti("demo", "--fleet", "all", "--headless", "--json")
+    assert done.stdout, done.stderr
     report = json.loads(done.stdout)
     assert report["state"] == "done", report["reason"]
     moves = [step for step in report["steps"] if step["do"] == "move"]
