@@ -107,6 +107,7 @@ class ZenohBus:
         self._disconnects = 0
         self._asking: list[Outcome] = []
         self._answering: set[asyncio.Task[None]] = set()
+        # Kept only so that it is not taken back.
         self._transports = sure.info.declare_transport_events_listener(_direct(self._transport_event))
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
@@ -325,8 +326,6 @@ class ZenohBus:
         left = [sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)]
         if sum(left):
             _LOG.warning("%d samples were not taken by the bus at %s", sum(left), self._endpoint)
-        # Or the end of the sessions would be an event, told to a process that is ending.
-        self._transports.undeclare()
         return any(left)
 
     async def _declare(self, declare: Callable[[], T]) -> T:
