@@ -3,7 +3,6 @@
 import asyncio
 import getpass
 import json
-import sys
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, NoReturn, TypeVar
 
@@ -54,9 +53,8 @@ processes_option = click.option(
 
 def print_json(value: Any) -> None:
     """One JSON document on standard output."""
-    sys.stdout.write(json.dumps(value, indent=2) + "\n")
-    # What the end of the interpreter writes is lost when it does not come so far.
-    sys.stdout.flush()
+    # Written out at once: what is left to the end of the interpreter is lost when it does not come so far.
+    click.echo(json.dumps(value, indent=2))
 
 
 def fail(text: str, code: int = FAILED, remedy: str = "") -> NoReturn:
