@@ -18,7 +18,9 @@ from sim.core.controller import Motion
 # one's guardian is quicker), then the others are told. A stop that a person asks for needs no detection.
 DETECTION_NS = 1000 * NS_PER_MS
 ASKED_NS = 500 * NS_PER_MS
-WINDOW_NS = 300 * NS_PER_MS  # a motion belongs to a step when it begins so near to its T0, or during it
+# A motion belongs to a step when it begins so near to its T0, or during it; but not before anybody was armed for it:
+# a new reign's first step can follow the one that it has stopped sooner than this.
+WINDOW_NS = 300 * NS_PER_MS
 LOOK_NS = (
     400 * NS_PER_MS
 )  # from the end of a job that failed, by the journal, to the rest of its axes, but for the ramp
@@ -192,8 +194,13 @@ class Judge:
         for (job, index), each in gone.items():
             # Behind a line each member has a T0 of its own.
             t0_ns = min(go.said["t0_fleet_ns"] for go in each) + self._origin_ns()
-            found.append(_Step(job, index, each[0].asked_ns, t0_ns - WINDOW_NS, None, t0_ns, axes[job, index]))
+            from_ns = max(t0_ns - WINDOW_NS, self._armed_ns((job, index)))
+            found.append(_Step(job, index, each[0].asked_ns, from_ns, None, t0_ns, axes[job, index]))
         return sorted(found, key=lambda step: step.asked_ns)
+
+    def _armed_ns(self, step: tuple[str, int]) -> int:
+        """When the first member was asked to arm for the step, in host ns."""
+        return min(arm.asked_ns for arm in self._witness.of("arm") if arm.step == step)
 
     def _judge_promises(self, act: Act) -> None:
         """Invariants 1, 7, 9 and 10 on the requests: nobody is told to go before all have promised the same thing."""
@@ -398,7 +405,7 @@ class Judge:
             for axis, evidence in member.evidence.items():
                 label = f"{name}.{axis} of {act.jobs[job_id].job.name}"
                 motor = axes[axis].motors[0]
-                truth = self._truth(act, name, motor, origin_ns + t0_ns)
+                truth = self._truth(act, name, motor, (job_id, step.index), origin_ns + t0_ns)
                 if not truth:
                     self.violate("8", f"{label} claims a start and did not move")
                     continue
@@ -415,15 +422,16 @@ class Judge:
         """Whether what started the member may have been longer on its way than its wire promises."""
         return member.start_class in ("host", "sync") and self._fleet.wires[name].kept_a_start(start_ns)
 
-    def _truth(self, act: Act, name: str, motor: str, t0_host_ns: int) -> list[Motion]:
+    def _truth(self, act: Act, name: str, motor: str, step: tuple[str, int], t0_host_ns: int) -> list[Motion]:
         """The motions of an axis in the step that begins at T0, up to the next step. Slow ones are made of pieces."""
         t0s = [each.said["t0_fleet_ns"] + self._origin_ns() for each in self._witness.of("go") if each.member == name]
         until_ns = min((each for each in t0s if each > t0_host_ns + WINDOW_NS), default=None)
+        from_ns = max(t0_host_ns - WINDOW_NS, self._armed_ns(step))
         return [
             each
             for each in self._fleet.controllers[name].motions[act.before[name] :]
             if each.axis == motor
-            and each.start_ns >= t0_host_ns - WINDOW_NS
+            and each.start_ns >= from_ns
             and (until_ns is None or each.start_ns < until_ns - WINDOW_NS)
         ]
 
