@@ -194,13 +194,14 @@ class Judge:
         for (job, index), each in gone.items():
             # Behind a line each member has a T0 of its own.
             t0_ns = min(go.said["t0_fleet_ns"] for go in each) + self._origin_ns()
-            from_ns = max(t0_ns - WINDOW_NS, self._armed_ns((job, index)))
+            from_ns = self._from_ns((job, index), t0_ns)
             found.append(_Step(job, index, each[0].asked_ns, from_ns, None, t0_ns, axes[job, index]))
         return sorted(found, key=lambda step: step.asked_ns)
 
-    def _armed_ns(self, step: tuple[str, int]) -> int:
-        """When the first member was asked to arm for the step, in host ns."""
-        return min(arm.asked_ns for arm in self._witness.of("arm") if arm.step == step)
+    def _from_ns(self, step: tuple[str, int], t0_ns: int) -> int:
+        """From when on a motion may be the step's: near its T0, and once somebody was asked to arm. Host ns."""
+        armed_ns = min(arm.asked_ns for arm in self._witness.of("arm") if arm.step == step)
+        return max(t0_ns - WINDOW_NS, armed_ns)
 
     def _judge_promises(self, act: Act) -> None:
         """Invariants 1, 7, 9 and 10 on the requests: nobody is told to go before all have promised the same thing."""
@@ -426,7 +427,7 @@ class Judge:
         """The motions of an axis in the step that begins at T0, up to the next step. Slow ones are made of pieces."""
         t0s = [each.said["t0_fleet_ns"] + self._origin_ns() for each in self._witness.of("go") if each.member == name]
         until_ns = min((each for each in t0s if each > t0_host_ns + WINDOW_NS), default=None)
-        from_ns = max(t0_host_ns - WINDOW_NS, self._armed_ns(step))
+        from_ns = self._from_ns(step, t0_host_ns)
         return [
             each
             for each in self._fleet.controllers[name].motions[act.before[name] :]
