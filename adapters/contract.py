@@ -3,7 +3,7 @@
 A make's package (found by the entry point group `tutti.adapters`) exports a `Make`. Its `Driver` speaks the
 controller's language over links and knows nothing of the bus, of jobs, leases or fleet time: axes are called by
 their names in the fleet file, positions are whole counts of the controller, instants are host nanoseconds.
-Everything common to all makes (the bus, polling, fencing, limits, the e-stop latch) is in `adapters.unit`.
+Everything common to all makes (the bus, polling, fencing, limits, the e-stop latch) is in `adapters.controller`.
 """
 
 from abc import ABC, abstractmethod

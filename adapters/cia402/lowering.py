@@ -10,8 +10,8 @@ from adapters.cia402.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.options import Options
 from adapters.cia402.shape import Trapezoid, fit
 from adapters.contract import CannotDo, Lowered, require_how, too_quick
-from adapters.patherror import path_error_counts
-from adapters.points import driven
+from adapters.toolkit.path_error import path_error_counts
+from adapters.toolkit.wired_points import driven
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, StartWay, Term

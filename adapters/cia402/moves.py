@@ -21,7 +21,7 @@ from adapters.cia402.starts import Shot, Starts
 from adapters.cia402.states import State
 from adapters.cia402.stream import COPIES, TAIL
 from adapters.contract import CannotDo, DriverFault, Firer, Outcome, Span
-from adapters.firing import missed
+from adapters.toolkit.firing import missed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Timer
 from orchestrator.link.base import LinkClosed
 

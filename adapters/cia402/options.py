@@ -4,7 +4,7 @@ from fractions import Fraction
 
 from pydantic import Field
 
-from adapters.firing import FiringOptions, Micro
+from adapters.toolkit.firing import FiringOptions, Micro
 from orchestrator.model.base import Rational
 
 

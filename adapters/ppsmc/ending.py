@@ -11,7 +11,7 @@ from adapters.ppsmc.timing import Timing
 from adapters.ppsmc.timing import timing as timing_of
 from adapters.ppsmc.unitstate import Look, UnitState
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
-from orchestrator.clock.unread import UnreadClock
+from orchestrator.clock.inferred import UnreadClock
 
 _LOOK_NS = 50 * NS_PER_MS
 _LOOK_SOON_NS = 5 * NS_PER_MS

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from math import ceil
 
-from adapters import points
 from adapters.ppsmc.options import Options
+from adapters.toolkit import wired_points as points
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.latency import Latency
 from orchestrator.model.fleet import Controller

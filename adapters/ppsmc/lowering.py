@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.contract import CannotDo, Lowered, require_how, too_quick
-from adapters.patherror import in_host_time, path_error_counts
 from adapters.ppsmc.costs import costs
 from adapters.ppsmc.fleetaxes import bounds, motor
 from adapters.ppsmc.lines import Drive, Wait, driven, edge_terms, starting_terms, waited_for, waiting_terms
 from adapters.ppsmc.options import Options
 from adapters.ppsmc.trapezoid import POSITION_MAX, Trapezoid, fit
-from orchestrator.clock.unread import KnownClock
+from adapters.toolkit.path_error import in_host_time, path_error_counts
+from orchestrator.clock.inferred import KnownClock
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile

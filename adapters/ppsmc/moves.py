@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Mapping
 
 from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
-from adapters.firing import missed
 from adapters.ppsmc import loading
 from adapters.ppsmc.ending import Ending
 from adapters.ppsmc.lowering import AxisMove, SmcLowered
@@ -23,8 +22,9 @@ from adapters.ppsmc.replies import (
 from adapters.ppsmc.session import EOL, Pending, Session, refusal
 from adapters.ppsmc.step import Move
 from adapters.ppsmc.unitstate import Look, UnitState
+from adapters.toolkit.firing import missed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns, sleep_until_ns
-from orchestrator.clock.unread import UnreadClock
+from orchestrator.clock.inferred import UnreadClock
 
 _LOOK_SOON_NS = 5 * NS_PER_MS
 # Status bits may still say ready for a moment after a start, as a client of real units has found.

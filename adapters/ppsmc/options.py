@@ -4,10 +4,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from adapters.firing import FiringOptions, Micro
+from adapters.toolkit.firing import FiringOptions, Micro
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.inferred import UnreadClock
 from orchestrator.clock.latency import Latency
-from orchestrator.clock.unread import UnreadClock
 from orchestrator.model.base import Id
 
 

@@ -10,8 +10,8 @@ from adapters.shrc203.session import EOL, Session
 from adapters.shrc203.status import ERRORS
 from adapters.shrc203.timing import Timing
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.inferred import UnreadClock
 from orchestrator.clock.timed import LONG_S
-from orchestrator.clock.unread import UnreadClock
 
 _DIGIT_CHARACTERS = len("1" + EOL)
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from adapters.contract import CannotDo, Lowered, require_how, too_quick
-from adapters.patherror import in_host_time, path_error_counts
 from adapters.shrc203.axes import letter
 from adapters.shrc203.fleetaxes import bounds, motor
 from adapters.shrc203.interpolation import Steady, Straight, straight_line
@@ -15,9 +14,10 @@ from adapters.shrc203.lines import Drive, Wait, driven, edge_terms, waited_for, 
 from adapters.shrc203.options import Options
 from adapters.shrc203.pair import Pair, pairs
 from adapters.shrc203.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, Bounds, Trapezoid, fit
+from adapters.toolkit.path_error import in_host_time, path_error_counts
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.inferred import KnownClock
 from orchestrator.clock.latency import Latency
-from orchestrator.clock.unread import KnownClock
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import StartWay, Term
 from orchestrator.model.profile import Profile

@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Mapping
 
 from adapters.contract import CannotDo, DriverFault, Fired, Firer, Outcome, Span
-from adapters.firing import missed
 from adapters.shrc203.axes import letter
 from adapters.shrc203.ending import Ending
 from adapters.shrc203.loaded import Move
@@ -19,8 +18,9 @@ from adapters.shrc203.status import ERRORS, UNSETTLED, why_stopped
 from adapters.shrc203.timing import Timing
 from adapters.shrc203.timing import timing as timing_of
 from adapters.shrc203.unitstate import UnitState
+from adapters.toolkit.firing import missed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
-from orchestrator.clock.unread import UnreadClock
+from orchestrator.clock.inferred import UnreadClock
 
 _LOOK_NS = 50 * NS_PER_MS
 _QUIET_NS = 60 * NS_PER_MS  # nothing is asked so shortly before T0

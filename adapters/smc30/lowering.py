@@ -12,14 +12,14 @@ from math import ceil
 from typing import Literal
 
 from adapters.contract import CannotDo, Lowered, require_how, too_quick
-from adapters.patherror import in_host_time, path_error_counts
-from adapters.points import driven, waited_for
 from adapters.smc30.options import Options
 from adapters.smc30.ramp import Shape, fit
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, bounds, only_axis
+from adapters.toolkit.path_error import in_host_time, path_error_counts
+from adapters.toolkit.wired_points import driven, waited_for
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.inferred import KnownClock
 from orchestrator.clock.latency import Latency
-from orchestrator.clock.unread import KnownClock
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LineDrive, LineWait, StartWay, Term
 from orchestrator.model.profile import Profile

@@ -5,15 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from adapters.contract import CannotDo, DriverFault, FireOrder, Firer, Outcome, Span
-from adapters.firing import missed
 from adapters.smc30.line import Shot
 from adapters.smc30.lowering import LINES_BEFORE, Slots, SmcLowered
 from adapters.smc30.options import Options
 from adapters.smc30.session import Busy
 from adapters.smc30.unitstate import Place, UnitState
+from adapters.toolkit.firing import missed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.inferred import UnreadClock
 from orchestrator.clock.timed import LONG_S, TimedMove
-from orchestrator.clock.unread import UnreadClock
 
 _LOOK_NS = 20 * NS_PER_MS
 _GRAIN = 1.0  # steps: whether the counter rounds is not said

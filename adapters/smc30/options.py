@@ -4,10 +4,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from adapters.firing import FiringOptions, Micro
+from adapters.toolkit.firing import FiringOptions, Micro
 from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.inferred import UnreadClock
 from orchestrator.clock.latency import Latency
-from orchestrator.clock.unread import UnreadClock
 
 Milliamps = Annotated[int, Field(ge=0, le=12_000)]
 

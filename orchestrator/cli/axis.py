@@ -4,10 +4,10 @@ from typing import Any
 
 import click
 
-from orchestrator.cli.axis_jog import jog
 from orchestrator.cli.axis_take import release, take
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
+from orchestrator.cli.jog.command import jog
 from orchestrator.cli.one_step import run_step
 
 _AXES = click.argument("axes", nargs=-1, required=True)

@@ -30,7 +30,7 @@ def plan(as_json: bool, rounds: int) -> None:
     """
     from rich.table import Table
 
-    from orchestrator.lab.bench_plan import bench_plan
+    from orchestrator.bench.plan import bench_plan
 
     jerk_limited, trapezoids = bench_plan(3, rounds), bench_plan(2, rounds)
     if as_json:
@@ -56,8 +56,8 @@ def plan(as_json: bool, rounds: int) -> None:
 @click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0.01, 24), help="Of fleet time.")
 def virtual(as_json: bool, hours: float) -> None:
     """Run the demo fleet, moving all the time, in virtual time, and say how much faster than real time it was."""
+    from orchestrator.bench.virtual import bench_virtual
     from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_virtual import bench_virtual
     from orchestrator.model.files import load_fleet
 
     run = bench_virtual(load_fleet(EXAMPLES / "demo.fleet.yaml"), hours)
@@ -81,7 +81,7 @@ def poll(as_json: bool, seconds: float) -> None:
     """
     from rich.table import Table
 
-    from orchestrator.lab.bench_poll import bench_poll
+    from orchestrator.bench.poll import bench_poll
 
     rows = bench_poll(seconds)
     if as_json:
@@ -104,7 +104,7 @@ def bus(as_json: bool, rounds: int) -> None:
 
     By E to one after another, by the adapter's slots with the waiting in the programs, and by a wired line.
     """
-    from orchestrator.lab.bench_smc30_bus import bench_smc30_bus
+    from orchestrator.bench.smc30_bus import bench_smc30_bus
     from orchestrator.monitor.tables import plain_table
 
     rows = bench_smc30_bus(rounds)
@@ -132,9 +132,9 @@ def can(as_json: bool, rounds: int, hours: float) -> None:
     In virtual time, by the simulators' truth; in one step with SMC-4000 by a whole coordinator. Positions are streamed
     for `--hours` at last: an hour takes half an hour, the rest some three minutes.
     """
-    from orchestrator.lab.bench_can import bench_can
-    from orchestrator.lab.bench_can_mixed import bench_mixed
-    from orchestrator.lab.bench_can_stream import bench_stream
+    from orchestrator.bench.can import bench_can
+    from orchestrator.bench.can_mixed import bench_mixed
+    from orchestrator.bench.can_stream import bench_stream
     from orchestrator.monitor.tables import plain_table
 
     rows = [*bench_can(rounds), *bench_mixed(rounds), *bench_stream(rounds, hours)]
@@ -161,7 +161,7 @@ def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
     """
     from rich.table import Table
 
-    from orchestrator.lab.bench_sim import bench_sim
+    from orchestrator.bench.sim import bench_sim
 
     figures = bench_sim(controllers, seconds, step=step)
     windows = {"idle": figures.idle, "moving": figures.moving}
@@ -194,7 +194,7 @@ def lowering(as_json: bool, make: str, moves: int) -> None:
     planned, as lowered, and of a seeded part of them as executed; those of a cruise below 20,000 counts/s are a tenth
     as many. Some minutes for the 10,000. An SMC30 is told whole steps/s: its moves are shown by their mean rate.
     """
-    from orchestrator.lab.bench_lowering import MAKES, bench_lowering
+    from orchestrator.bench.lowering import MAKES, bench_lowering
     from orchestrator.monitor.tables import plain_table
 
     if make not in MAKES:
@@ -230,7 +230,7 @@ def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
 
     How long a move takes with its hand-over, for one axis and for three, and whether a chain ran dry. Some minutes.
     """
-    from orchestrator.lab.bench_chain import bench_chain
+    from orchestrator.bench.chain import bench_chain
     from orchestrator.monitor.tables import plain_table
 
     figures = bench_chain(moves, seeds)

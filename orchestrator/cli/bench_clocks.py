@@ -19,7 +19,7 @@ def clock(as_json: bool, trials: int, seed: int) -> None:
     Beside the estimate stand its guaranteed bound, how often the truth was outside it, and two estimators without a
     bound: the smallest round trip at the nominal rate, and least squares.
     """
-    from orchestrator.lab.bench_clock import bench_clock
+    from orchestrator.bench.clock import bench_clock
     from orchestrator.monitor.tables import plain_table
 
     rows = bench_clock(trials, seed)
@@ -71,7 +71,7 @@ def sync(
     if live is not None:
         _live(live, as_json)
         return
-    from orchestrator.lab.bench_sync import bench_sync
+    from orchestrator.bench.sync import bench_sync
     from orchestrator.monitor.skew_plot import plot_skews
     from orchestrator.monitor.tables import plain_table
 
@@ -127,8 +127,8 @@ def firing(as_json: bool, shots: int) -> None:
 
     The firing process needs the right to real-time priority; without it, whatever else runs delays it by milliseconds.
     """
-    from orchestrator.lab.bench_firing import CONTROLLERS, bench_firing
-    from orchestrator.lab.bench_truth import NothingHappened
+    from orchestrator.bench.firing import CONTROLLERS, bench_firing
+    from orchestrator.bench.truth import NothingHappened
     from orchestrator.monitor.tables import plain_table
 
     with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:
@@ -159,7 +159,7 @@ def rates(as_json: bool, trials: int, seed: int) -> None:
     what it says, and the mean of the measured durations; beside the learned time to the start, what is declared, and
     the mean of the acknowledgements. 30 crystals a link take half a minute or so.
     """
-    from orchestrator.lab.bench_rates import bench_rates
+    from orchestrator.bench.rates import bench_rates
     from orchestrator.monitor.tables import plain_table
 
     found, starts = bench_rates(trials, seed)
@@ -178,7 +178,7 @@ def rates(as_json: bool, trials: int, seed: int) -> None:
 
 
 def _live(steps: int, as_json: bool) -> None:
-    from orchestrator.lab.bench_sync_live import bench_sync_live
+    from orchestrator.bench.sync_live import bench_sync_live
     from orchestrator.monitor.tables import plain_table
 
     with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:

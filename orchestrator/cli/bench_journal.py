@@ -23,8 +23,8 @@ def journal(as_json: bool, jobs: int, history: int, folder: Path | None) -> None
 
     In real time on a real disk; the bus is in memory. Filling the history first takes a minute.
     """
+    from orchestrator.bench.journal import RESTART_ASKED_S, SUBMIT_ASKED_S, bench_journal
     from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_journal import RESTART_ASKED_S, SUBMIT_ASKED_S, bench_journal
     from orchestrator.model.files import load_fleet
     from orchestrator.monitor.tables import plain_table
 

@@ -12,12 +12,12 @@ from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
 if TYPE_CHECKING:
-    from orchestrator.lab.bench_dispatch import DispatchFigures
-    from orchestrator.lab.bench_estop import EstopFigures
-    from orchestrator.lab.bench_jog import JogFigures
-    from orchestrator.lab.bench_kills import KillFigures
-    from orchestrator.lab.bench_permit import PermitFigures
-    from orchestrator.lab.bench_spread import Spread
+    from orchestrator.bench.dispatch import DispatchFigures
+    from orchestrator.bench.estop import EstopFigures
+    from orchestrator.bench.jog import JogFigures
+    from orchestrator.bench.kills import KillFigures
+    from orchestrator.bench.permit import PermitFigures
+    from orchestrator.bench.spread import Spread
 
 T = TypeVar("T")
 
@@ -54,8 +54,8 @@ def jog(as_json: bool, presses: int, kills: int) -> None:
     the first motion, the same on a terminal that reports no releases, and from the Python interface without panel and
     terminal; and how late this machine wakes a process.
     """
+    from orchestrator.bench.jog import bench_jog
     from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_jog import bench_jog
     from orchestrator.model.files import load_fleet
 
     def measure(folder: Path) -> "Coroutine[Any, Any, JogFigures]":
@@ -73,8 +73,8 @@ def permit(as_json: bool, rounds: int) -> None:
     From the input that changes to the last axis slowing down, against 50 ms and the period at which a moving
     controller is read; and how late this machine wakes a process.
     """
+    from orchestrator.bench.permit import bench_permit
     from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_permit import bench_permit
     from orchestrator.model.files import load_fleet
 
     def measure(folder: Path) -> "Coroutine[Any, Any, PermitFigures]":
@@ -92,7 +92,7 @@ def estop(as_json: bool, rounds: int) -> None:
     From its put to the last axis slowing down; in every other round the controllers that do not move are just being
     armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of an hour.
     """
-    from orchestrator.lab.bench_estop import bench_estop
+    from orchestrator.bench.estop import bench_estop
 
     def measure(folder: Path) -> "Coroutine[Any, Any, EstopFigures]":
         return bench_estop(folder, rounds, [sys.executable, "-c", _PANEL])
@@ -109,9 +109,9 @@ def kills(as_json: bool, rounds: int) -> None:
     No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must work
     again by itself. A hundred rounds take some twenty minutes.
     """
+    from orchestrator.bench.kills import bench_kills
+    from orchestrator.bench.spread import Spread
     from orchestrator.cli.demo import EXAMPLES
-    from orchestrator.lab.bench_kills import bench_kills
-    from orchestrator.lab.bench_spread import Spread
     from orchestrator.model.files import load_fleet
     from orchestrator.monitor.tables import plain_table
 
@@ -148,7 +148,7 @@ def dispatch(as_json: bool, rounds: int) -> None:
     And in virtual time, where wires and firmware alone take their time; its path is what has to be done before anything
     can move. Live, simulators and fleet share this machine's processors.
     """
-    from orchestrator.lab.bench_dispatch import bench_dispatch
+    from orchestrator.bench.dispatch import bench_dispatch
     from orchestrator.monitor.tables import plain_table
 
     def measure(folder: Path) -> "Coroutine[Any, Any, DispatchFigures]":
@@ -177,7 +177,7 @@ def dispatch(as_json: bool, rounds: int) -> None:
 
 def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
     """What `measure` finds with a folder of its own; exit 1 when what it waits for does not happen."""
-    from orchestrator.lab.bench_truth import NothingHappened
+    from orchestrator.bench.truth import NothingHappened
 
     async def main() -> T:
         with tempfile.TemporaryDirectory(prefix="tutti-bench-") as folder:
@@ -191,7 +191,7 @@ def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
 
 def _show_spreads(figures: "JogFigures | PermitFigures | EstopFigures", as_json: bool) -> None:
     """Each spread with what is asked of it; other figures above."""
-    from orchestrator.lab.bench_spread import Spread
+    from orchestrator.bench.spread import Spread
     from orchestrator.monitor.tables import plain_table
 
     fields = figures._asdict()

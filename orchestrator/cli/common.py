@@ -84,10 +84,10 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 def _explain(error: Exception) -> None:
     """Say what an expected error means, and exit; of others, nothing."""
     # Only now: an e-stop does not wait for all that could go wrong to be loaded.
-    from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable
+    from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
     from orchestrator.client.api import Refused
-    from orchestrator.lab.live import UpFailed
     from orchestrator.model.files import FileError
+    from orchestrator.runtime.live import UpFailed
 
     match error:
         case FileError():

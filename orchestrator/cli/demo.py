@@ -37,10 +37,10 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
     verdicts are held against it. Exit 0 only if the job is done and every start skew is surely within what the job
     allows; 130 when interrupted.
     """
-    from orchestrator.lab.demo_truth import Held, verdicts_against_truth
-    from orchestrator.lab.live import LiveFleet, UpFailed, free_port
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
+    from orchestrator.runtime.demo_truth import Held, verdicts_against_truth
+    from orchestrator.runtime.live import LiveFleet, UpFailed, free_port
 
     def say(line: str) -> None:
         if not headless and not as_json:
@@ -97,9 +97,9 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
     """Wait until the fleet is adopted, then submit and follow; with the host instant at which fleet time is 0."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
-    from orchestrator.lab.live import UpFailed
     from orchestrator.model.messages import Reign
     from orchestrator.model.state import ControllerState
+    from orchestrator.runtime.live import UpFailed
 
     async with Tutti(connect, fleet, actor="demo") as tutti:
         states: dict[str, ControllerState] = {}

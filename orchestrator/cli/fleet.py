@@ -77,8 +77,8 @@ async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, b
     """Order the e-stop, and see by whom it was heard; controllers have their fleet's name before them if there are
     several."""
     from orchestrator.bus.estop import put_estop
-    from orchestrator.bus.zenoh_bus import open_bus
-    from orchestrator.clock.hurry import Urgency, hurry
+    from orchestrator.bus.zenoh.bus import open_bus
+    from orchestrator.clock.realtime import Urgency, hurry
 
     hurry(Urgency.BUS)
     bus, who = await open_bus(connect), actor()

@@ -78,7 +78,7 @@ def reload(file: Path, connect: str, fleet: str | None) -> None:
 def load_or_fail(file: Path) -> "Fleet":
     """The checked fleet file; a wrong one ends the command with its message."""
     from orchestrator.cli.common import run
-    from orchestrator.lab.checked import load_checked_fleet
+    from orchestrator.runtime.checked import load_checked_fleet
 
     async def load() -> "Fleet":
         return load_checked_fleet(file)

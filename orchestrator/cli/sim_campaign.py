@@ -10,8 +10,8 @@ from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, json_option, print_json, processes_option
 
 if TYPE_CHECKING:
-    from orchestrator.lab.campaign import Story
-    from orchestrator.lab.campaign_runs import Campaign
+    from orchestrator.campaign.runs import Campaign
+    from orchestrator.campaign.scenario import Story
 
 
 @click.command(epilog="Example: tutti sim campaign --seeds 500 --json")
@@ -26,7 +26,7 @@ def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: i
     really moved to the invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an
     invariant.
     """
-    from orchestrator.lab.campaign_runs import play_seed, run_campaign
+    from orchestrator.campaign.runs import play_seed, run_campaign
 
     if seed is not None:
         story = play_seed(seed)
@@ -75,10 +75,10 @@ def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
 
 def _print_coverage(found: "Campaign") -> None:
     """For each fault, and each make that it befell, how often at which stage."""
-    from orchestrator.lab.campaign_faults import FAULTS
-    from orchestrator.lab.campaign_fleets import MAKES
-    from orchestrator.lab.campaign_runs import Cell
-    from orchestrator.lab.campaign_witness import STAGES
+    from orchestrator.campaign.faults import FAULTS
+    from orchestrator.campaign.fleets import MAKES
+    from orchestrator.campaign.recorder import STAGES
+    from orchestrator.campaign.runs import Cell
     from orchestrator.monitor.tables import plain_table
 
     table = plain_table(["fault", "make", *(f"{stage}>" for stage in STAGES)])

@@ -114,7 +114,7 @@ def _split(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
 
 def _tell(state: Path, controller: str, change: dict[str, Any]) -> None:
     """Write one line to the simulator's pipe."""
-    from orchestrator.lab.live import world_pipe
+    from orchestrator.runtime.live import world_pipe
 
     path = world_pipe(state, controller)
     try:

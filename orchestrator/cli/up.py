@@ -49,9 +49,9 @@ def up(
 
     Ctrl-C stops the running job first; a process that dies is started again.
     """
-    from orchestrator.clock.hurry import Urgency, hurry
-    from orchestrator.lab.checked import load_checked_fleet
-    from orchestrator.lab.live import LiveFleet
+    from orchestrator.clock.realtime import Urgency, hurry
+    from orchestrator.runtime.checked import load_checked_fleet
+    from orchestrator.runtime.live import LiveFleet
 
     async def main() -> None:
         fleet = load_checked_fleet(file)

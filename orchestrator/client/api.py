@@ -51,7 +51,7 @@ from orchestrator.model.service import (
 from orchestrator.model.state import ControllerState, Info
 
 if TYPE_CHECKING:
-    from orchestrator.client.hand import Hand
+    from orchestrator.client.manual import Hand
 
 M = TypeVar("M", bound=Model)
 
@@ -95,7 +95,7 @@ class Tutti:
     async def open(self) -> Self:
         """Connect, which entering the context does. Raises `RouterUnreachable`, or `Refused` with code `no-fleet` or
         `which-fleet`."""
-        from orchestrator.bus.zenoh_bus import open_bus
+        from orchestrator.bus.zenoh.bus import open_bus
 
         if self._bus is None:
             self._bus = await open_bus(self._endpoint)
@@ -382,7 +382,7 @@ class Tutti:
         what: shown to those who are refused meanwhile. ttl_s: how long the axes stay taken when this process dies.
         Entering raises `Refused`: code `leased` while somebody else has one of them, `permit` while one is missing.
         """
-        from orchestrator.client.hand import Hand
+        from orchestrator.client.manual import Hand
 
         return Hand(self, axes, what, ttl_s)
 

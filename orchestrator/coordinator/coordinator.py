@@ -13,23 +13,23 @@ from orchestrator.bus.base import Bus, Declared, RequestRefused, Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import Clock
-from orchestrator.clock.disk import Runs
-from orchestrator.coordinator.hands import Hands
-from orchestrator.coordinator.homing import Homing
-from orchestrator.coordinator.job_run import Interrupted, Works
-from orchestrator.coordinator.journal import Journal, JournalError
-from orchestrator.coordinator.leases import LeaseBook
-from orchestrator.coordinator.members import Members
-from orchestrator.coordinator.motion import Motion
-from orchestrator.coordinator.office import Office
-from orchestrator.coordinator.permits import Permits
-from orchestrator.coordinator.reign import Throne
-from orchestrator.coordinator.reload import Reloading
-from orchestrator.coordinator.runner import Runner
-from orchestrator.coordinator.steps import PlainSteps, check_job
-from orchestrator.coordinator.targets import Refuse
-from orchestrator.coordinator.view import FleetView
-from orchestrator.coordinator.wiring import WiringCheck
+from orchestrator.clock.executor import Runs
+from orchestrator.coordinator.fleet.leases import LeaseBook
+from orchestrator.coordinator.fleet.manual import Hands
+from orchestrator.coordinator.fleet.permits import Permits
+from orchestrator.coordinator.fleet.requests import Members
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.jobs.homing import Homing
+from orchestrator.coordinator.jobs.intake import Office
+from orchestrator.coordinator.jobs.job_run import Interrupted, Works
+from orchestrator.coordinator.jobs.scheduler import Runner
+from orchestrator.coordinator.jobs.steps import PlainSteps, check_job
+from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.leadership.leadership import Throne
+from orchestrator.coordinator.maintenance.reload import Reloading
+from orchestrator.coordinator.maintenance.wiring import WiringCheck
+from orchestrator.coordinator.motion.motion import Motion
+from orchestrator.coordinator.motion.targets import Refuse
 from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Move

@@ -16,16 +16,16 @@ from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.bus.logfile import file_sink
-from orchestrator.bus.zenoh_bus import open_bus
-from orchestrator.bus.zenoh_sessions import RouterUnreachable
-from orchestrator.clock.disk import Threaded
-from orchestrator.clock.hurry import Urgency, hurry, step_back
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.clock.executor import Threaded
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.realtime import Urgency, hurry, step_back
 from orchestrator.coordinator.coordinator import Coordinator, Court
-from orchestrator.coordinator.journal import Journal, JournalError
-from orchestrator.coordinator.reign import AnotherReigns
-from orchestrator.coordinator.standby import Reigning, vacancy
+from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.leadership.leadership import AnotherReigns
+from orchestrator.coordinator.leadership.standby import Reigning, vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 

@@ -20,8 +20,8 @@ from typing import TextIO
 
 from pydantic import ValidationError
 
-from orchestrator.clock.hurry import Urgency, hurry
 from orchestrator.clock.live import LiveClock, begin_live
+from orchestrator.clock.realtime import Urgency, hurry
 from sim.core.controller import Branch, Port, PortRefused, SimulatedController, SimulatedLine, Timing, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import simulator

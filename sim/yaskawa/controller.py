@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from sim.core.controller import Connection, LimitSwitch, Motion, Send
-from sim.yaskawa.arguments import canonical
-from sim.yaskawa.axis import Axis
+from sim.yaskawa.language.arguments import canonical
 from sim.yaskawa.machine import Machine
-from sim.yaskawa.network import Network
+from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.ports.network import Network
 
 _LIMITS: dict[str, LimitSwitch] = {"forward": "forward", "reverse": "reverse", "both": "both", "none": "none"}
 

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from sim.yaskawa import fixed
-from sim.yaskawa.axis import Axis
+from sim.yaskawa.base import fixed
+from sim.yaskawa.motion.axis import Axis
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from sim.yaskawa import fixed
-from sim.yaskawa.errors import CommandError
-from sim.yaskawa.modbus import POINTS, READ_COILS, READ_INPUTS, RemotePoints
-from sim.yaskawa.world import World
+from sim.yaskawa.base import fixed
+from sim.yaskawa.base.errors import CommandError
+from sim.yaskawa.base.world import World
+from sim.yaskawa.ports.modbus import POINTS, READ_COILS, READ_INPUTS, RemotePoints
 
 BYTE = 8
 _VOLTS_RANGE = 10.0

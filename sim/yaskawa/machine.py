@@ -6,27 +6,27 @@ from math import inf
 from orchestrator.clock.base import Clock, Timer
 from sim.core.controller import Timing
 from sim.core.oscillator import Oscillator
-from sim.yaskawa import fixed
-from sim.yaskawa.axis import Axis
-from sim.yaskawa.data import Data
-from sim.yaskawa.entry import OperatorEntry
-from sim.yaskawa.errors import CommandError
+from sim.yaskawa.base import fixed
+from sim.yaskawa.base.data import Data
+from sim.yaskawa.base.errors import CommandError
+from sim.yaskawa.base.formats import Format, Layout
+from sim.yaskawa.base.model import Model
+from sim.yaskawa.base.options import Options
+from sim.yaskawa.base.timebase import NEVER_NS, TIME_WRAP, Timebase
+from sim.yaskawa.base.world import World
 from sim.yaskawa.events import Events
-from sim.yaskawa.expressions import compile_expression
-from sim.yaskawa.formats import Format, Layout
-from sim.yaskawa.interpreter import LEEWAY_NS, Interpreter
 from sim.yaskawa.io import Points
+from sim.yaskawa.language.expressions import compile_expression
 from sim.yaskawa.memory import Memory
-from sim.yaskawa.modbus import RemotePoints
-from sim.yaskawa.model import Model
-from sim.yaskawa.motion import ABORT_CODE, ABORT_INPUT_CODE, SELECTIVE_CODE, MotionControl
-from sim.yaskawa.network import Network
-from sim.yaskawa.options import Options
-from sim.yaskawa.ports import Port, Ports
-from sim.yaskawa.program import Program
+from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.motion.control import ABORT_CODE, ABORT_INPUT_CODE, SELECTIVE_CODE, MotionControl
+from sim.yaskawa.ports.modbus import RemotePoints
+from sim.yaskawa.ports.network import Network
+from sim.yaskawa.ports.ports import Port, Ports
+from sim.yaskawa.program.entry import OperatorEntry
+from sim.yaskawa.program.interpreter import LEEWAY_NS, Interpreter
+from sim.yaskawa.program.program import Program
 from sim.yaskawa.recorder import Recorder
-from sim.yaskawa.timebase import NEVER_NS, TIME_WRAP, Timebase
-from sim.yaskawa.world import World
 
 _LATCHES = {**{number: number - 1 for number in range(1, 5)}, **{number: number - 5 for number in range(9, 13)}}
 """For each input that latches a position: the number of the axis (SMC-2000: L7105)."""

@@ -3,7 +3,7 @@
 import copy
 from typing import TYPE_CHECKING
 
-from sim.yaskawa.cam import Cam
+from sim.yaskawa.motion.cam import Cam
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine
@@ -120,7 +120,7 @@ class Memory:
                 machine.motion.motor_on(axis, machine.now())
             source, axis.gear.gantry = self._gears.get(axis.name, ("", False))
             if source:
-                from sim.yaskawa.commands_gear import select_master
+                from sim.yaskawa.commands.gear import select_master
 
                 select_master(machine, axis, source)
                 axis.gear.set_ratio(axis.registers["GR"] / 65536, machine.now())

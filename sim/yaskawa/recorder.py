@@ -3,9 +3,9 @@
 from math import inf
 from typing import TYPE_CHECKING
 
-from sim.yaskawa.context import Context
-from sim.yaskawa.errors import CommandError
-from sim.yaskawa.expressions import Evaluator
+from sim.yaskawa.base.errors import CommandError
+from sim.yaskawa.language.context import Context
+from sim.yaskawa.language.expressions import Evaluator
 
 if TYPE_CHECKING:
     from sim.yaskawa.machine import Machine

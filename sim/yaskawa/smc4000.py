@@ -5,15 +5,16 @@ from collections.abc import Mapping
 from orchestrator.clock.base import Clock
 from sim.core.controller import Timing
 from sim.core.oscillator import Oscillator
-from sim.yaskawa import errors, parameters
+from sim.yaskawa.base import errors
+from sim.yaskawa.base.data import Room
+from sim.yaskawa.base.formats import Format
+from sim.yaskawa.base.model import Burning, Figures, Model
+from sim.yaskawa.base.options import Smc4000Options
 from sim.yaskawa.controller import Bench, Controller
-from sim.yaskawa.data import Room
-from sim.yaskawa.dialect import COMMANDS, OPERANDS
-from sim.yaskawa.expressions import FUNCTIONS
-from sim.yaskawa.formats import Format
+from sim.yaskawa.language import parameters
+from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.machine import Machine
-from sim.yaskawa.model import Burning, Figures, Model
-from sim.yaskawa.options import Smc4000Options
 
 LOCK_ALL = 2
 """Level of LC at which nothing but LC itself is taken (L6735); TC still tells why (L6798)."""

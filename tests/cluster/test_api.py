@@ -7,8 +7,8 @@ from cluster.worlds import PREPARE, job, run_fleet
 
 from orchestrator.client import Refused, Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.report import Progress, Transition
+from orchestrator.runtime.virtual import VirtualFleet
 
 MOVE = job("[{do: move, to: {gantry.x: 60}, speed: 0.2}, {do: dwell, duration: 0.5 s}]")
 LIFE = ["queued", "planning", "arming", "armed", "committed", "running"]

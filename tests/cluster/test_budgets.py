@@ -4,11 +4,11 @@ import pytest
 from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 
+from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30, smc4000
 from orchestrator.client.clocks import clocks
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.lab.sync_fleets import ppsmc, shrc203, smc30, smc4000
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")
 

@@ -16,9 +16,9 @@ import orchestrator.model.report
 import orchestrator.model.service
 import orchestrator.model.state
 from orchestrator.bus.base import RequestRefused, Sample
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
+from orchestrator.runtime.virtual import VirtualFleet
 
 PAGE = (Path(__file__).parents[2] / "docs" / "bus.md").read_text(encoding="utf-8")
 MODELS = {

@@ -7,12 +7,12 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.client.api import Refused, Tutti
-from orchestrator.client.hand import Hand
+from orchestrator.client.manual import Hand
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
 from orchestrator.model.messages import JogRequest, Reply
 from orchestrator.model.report import Lease
+from orchestrator.runtime.virtual import VirtualFleet
 
 # By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
 AXES = {"gantry.x": ("gantry", "X", 1000, 20.0), "stage.u": ("stage", "1", 10_000, 1.0)}

@@ -4,11 +4,11 @@ from collections import Counter
 
 import pytest
 
-from orchestrator.lab.campaign import ALONE, Cell, play
-from orchestrator.lab.campaign_faults import FAULTS
-from orchestrator.lab.campaign_fleets import MAKES
-from orchestrator.lab.campaign_runs import ACTS, CELLS, PAIRS, ROUND, cells_of, run_campaign
-from orchestrator.lab.campaign_witness import STAGES
+from orchestrator.campaign.faults import FAULTS
+from orchestrator.campaign.fleets import MAKES
+from orchestrator.campaign.recorder import STAGES
+from orchestrator.campaign.runs import ACTS, CELLS, PAIRS, ROUND, cells_of, run_campaign
+from orchestrator.campaign.scenario import ALONE, Cell, play
 
 CHUNK = 5
 SEEDS = -(-PAIRS // (ACTS * CHUNK)) * CHUNK

@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
+from orchestrator.bench.sync_fleets import smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.lab.sync_fleets import smc4000
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 from sim.cia402.unit import DriveUnit
 
 LIMITS = {"velocity": 100, "acceleration": 500, "jerk": 10_000}

@@ -8,11 +8,11 @@ import pytest
 from cluster.worlds import EXAMPLES, job, outcome
 from cluster.worlds import run_fleet as run_any
 
+from orchestrator.bench.sync_fleets import sync_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.lab.sync_fleets import sync_fleet
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")
 PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")

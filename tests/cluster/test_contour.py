@@ -6,8 +6,8 @@ from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [gantry, portal]}, {do: home}]")
 JERK = 20_000.0  # mm/s³

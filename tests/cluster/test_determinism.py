@@ -7,7 +7,7 @@ import sys
 
 SCRIPT = """
 import hashlib
-from orchestrator.lab.campaign import Cell, play
+from orchestrator.campaign.scenario import Cell, play
 broken = (("motion", "none"), ("arm", "host-killed"), ("fire", "coordinator-hung"), ("go", "garbage"))
 story = play(3, [Cell(stage, fault, "shrc203") for stage, fault in broken])
 lines = [*story.lines, *story.events, *story.violations]

@@ -24,15 +24,15 @@ from cluster.worlds import (
 )
 
 from adapters.contract import CannotDo, DriverFault, Reading
-from adapters.member import Member
+from adapters.controller.participant import Member
 from adapters.smc30.driver import SmcDriver
+from orchestrator.bench import sync_fleets
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.lab import sync_fleets
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobState
+from orchestrator.runtime.virtual import VirtualFleet
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
@@ -384,7 +384,7 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
 ) -> None:
     """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not met it
     yet, or there is none."""
-    monkeypatch.setattr("orchestrator.lab.virtual.RESTART_NS", round(restart_s * NS_PER_S))
+    monkeypatch.setattr("orchestrator.runtime.virtual.RESTART_NS", round(restart_s * NS_PER_S))
     steps = sync_fleets.smc30(0, 1)
     steps["axes"]["x"]["limits"] = {"velocity": 8, "acceleration": 1}
 

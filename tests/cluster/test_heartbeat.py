@@ -2,13 +2,13 @@
 
 from cluster.worlds import job, outcome
 
+from orchestrator.bench.sync_fleets import smc4000
 from orchestrator.bus.base import Sample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.lab.sync_fleets import smc4000
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import ControllerState
+from orchestrator.runtime.virtual import VirtualFleet
 
 SECONDS = 10
 

@@ -5,12 +5,12 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 
+from orchestrator.bench.sync_fleets import smc2000
 from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.lab.sync_fleets import smc2000
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import Progress
+from orchestrator.runtime.virtual import VirtualFleet
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
 HOME = job("[{do: home}]")

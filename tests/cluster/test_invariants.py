@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from adapters.jogging import Jogging
-from adapters.member import Member
-from adapters.referencing import Referencing
+from adapters.controller.jogging import Jogging
+from adapters.controller.participant import Member
+from adapters.controller.referencing import Referencing
+from adapters.controller.supervisor import Unit
 from adapters.shrc203.driver import ShrcDriver
-from adapters.unit import Unit
-from orchestrator.coordinator.journal import Journal
-from orchestrator.coordinator.motion import Motion
-from orchestrator.coordinator.reign import Throne
-from orchestrator.coordinator.view import FleetView
-from orchestrator.lab.campaign import Cell, play
+from orchestrator.campaign.scenario import Cell, play
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.leadership.leadership import Throne
+from orchestrator.coordinator.motion.motion import Motion
 from orchestrator.model.messages import Arm, Propose
 
 Patch = pytest.MonkeyPatch
@@ -65,8 +65,8 @@ def plans_beyond_the_limits(patch: Patch) -> None:
     def fast(moves: list[AxisMove], sync: Any, speed: float, ramps: Any) -> Any:
         return plan_step([replace(each, velocity=each.velocity * 8) for each in moves], sync, speed, ramps)
 
-    patch.setattr("orchestrator.coordinator.motion.plan_step", fast)
-    patch.setattr("adapters.unit.check_profiles", nothing)
+    patch.setattr("orchestrator.coordinator.motion.motion.plan_step", fast)
+    patch.setattr("adapters.controller.supervisor.check_profiles", nothing)
 
 
 def believes_in_old_references(patch: Patch) -> None:

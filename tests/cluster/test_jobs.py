@@ -5,14 +5,14 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, run_fleet
 
-from adapters.unit import Unit
+from adapters.controller.supervisor import Unit
 from orchestrator.bus.base import Sample
-from orchestrator.bus.memory import MemoryBus
+from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.client.api import Refused
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
 from orchestrator.model.report import Lease
 from orchestrator.model.state import EstopLatch
+from orchestrator.runtime.virtual import VirtualFleet
 
 
 def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:

@@ -6,12 +6,12 @@ from contextlib import suppress
 import pytest
 from cluster.worlds import outcome, run_fleet
 
+from orchestrator.campaign.fleets import MAKES, fleet_of
+from orchestrator.campaign.jobs import preparation
 from orchestrator.client.api import Refused, Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.lab.campaign_fleets import MAKES, fleet_of
-from orchestrator.lab.campaign_jobs import preparation
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 AFTER_MS = (1, 3, 8, 25, 70, 120)  # the request
 DEAF_NS = 400 * NS_PER_MS

@@ -8,12 +8,12 @@ from cluster.test_can_streams import DRIVES
 from cluster.test_can_streams import fleet as streams
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
-from adapters.firing import ORDINARY_US, PUNCTUAL_US, LoopFirer
+from adapters.toolkit.firing import ORDINARY_US, PUNCTUAL_US, LoopFirer
+from orchestrator.bench.sync_fleets import mixed, ppsmc, shrc203, smc30, smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
-from orchestrator.lab.sync_fleets import mixed, ppsmc, shrc203, smc30, smc4000
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.virtual import VirtualFleet
 
 LATE_NS = 3 * NS_PER_MS
 MOVE = "[{do: move, to: {gantry.x: 60, stage.u: 6}}]"

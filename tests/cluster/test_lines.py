@@ -7,9 +7,9 @@ from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport, StepReport
+from orchestrator.runtime.virtual import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [gantry, stage, portal]}, {do: home}]")
 WAITERS = job("[{do: move, to: {stage.u: 5, stage.v: 3, portal.x: 60}, start: line}]")

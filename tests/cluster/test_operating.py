@@ -8,13 +8,13 @@ from typing import Any, TypeVar
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.store import Memory, MemoryStore
+from adapters.controller.store import Memory, MemoryStore
 from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.link.memory import MemoryLink
 from orchestrator.model.fleet import Fleet, Permit
 from orchestrator.model.state import ControllerState
+from orchestrator.runtime.virtual import VirtualFleet
 
 T = TypeVar("T")
 DOOR = Permit(input="gantry.door", value=False, axes=["table"])
@@ -487,7 +487,7 @@ def test_a_slow_disk_holds_up_nothing_of_an_estop(monkeypatch: pytest.MonkeyPatc
             await asyncio.sleep(takes_s)
         return function(*values)
 
-    monkeypatch.setattr("orchestrator.lab.virtual.inline", slow)
+    monkeypatch.setattr("orchestrator.runtime.virtual.inline", slow)
 
     async def main(fleet: VirtualFleet) -> None:
         nonlocal takes_s

@@ -9,8 +9,18 @@ import pytest
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.coordinator.pace import EACH_NS, GO_ROOM, KEPT, KNOWN, LEAST_MARGIN_NS, MARGIN_NS, ROOM, SLOW_GO, Pace
-from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.coordinator.motion.lead_time import (
+    EACH_NS,
+    GO_ROOM,
+    KEPT,
+    KNOWN,
+    LEAST_MARGIN_NS,
+    MARGIN_NS,
+    ROOM,
+    SLOW_GO,
+    Pace,
+)
+from orchestrator.runtime.virtual import VirtualFleet
 
 STEPS = "[{do: move, to: {gantry.x: %d, stage.u: %d}}]"
 

@@ -7,9 +7,9 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Refused, Tutti
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.queue import Terms
 from orchestrator.model.report import QueueEntry, QueueState
+from orchestrator.runtime.virtual import VirtualFleet
 
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.2}, {do: move, to: {gantry.x: 0}, speed: 0.2}]")
 STAGE = job("[{do: move, to: {stage.u: 20}, speed: 0.5}]")

@@ -7,8 +7,8 @@ from random import Random
 import pytest
 from cluster.worlds import EXAMPLES, changed, job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")
 PREPARE = job("[{do: enable, axes: [line, turner, gantry]}, {do: home}]")

@@ -11,10 +11,10 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 from orchestrator.bus.base import RequestRefused
 from orchestrator.client.api import Refused
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.leases import LeaseBook
-from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.coordinator.fleet.leases import LeaseBook
 from orchestrator.model.messages import Reply
 from orchestrator.model.queue import Terms
+from orchestrator.runtime.virtual import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")

@@ -10,9 +10,9 @@ import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.client.api import Refused
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.queue import Terms
 from orchestrator.model.report import ENDED, JobReport
+from orchestrator.runtime.virtual import VirtualFleet
 
 # By name: axes, and the counts that one run moves them by.
 KINDS = {

@@ -7,10 +7,10 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.client.api import Refused, Tutti
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Permit
 from orchestrator.model.queue import Terms, format_utc, parse_utc
 from orchestrator.model.report import Lease, QueueEntry
+from orchestrator.runtime.virtual import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")

@@ -8,17 +8,17 @@ from typing import Any, cast
 import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 
-from adapters.member import STOPS_NS, Member
+from adapters.controller.participant import STOPS_NS, Member
+from orchestrator.bench.sync_fleets import smc2000, smc4000, sync_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.moving import Moving
-from orchestrator.coordinator.proposing import SLIP, Proposing
-from orchestrator.lab.sync_fleets import smc2000, smc4000, sync_fleet
-from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.coordinator.motion.moving import Moving
+from orchestrator.coordinator.motion.negotiation import SLIP, Proposing
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Go, Proposal, Reply
 from orchestrator.model.report import StepReport
+from orchestrator.runtime.virtual import VirtualFleet
 
 
 async def prepared(fleet: VirtualFleet, axes: list[str]) -> None:

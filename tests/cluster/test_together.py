@@ -10,15 +10,15 @@ import pytest
 from cluster.test_queue_hostile import COMMANDS, HEAD, RAW, SHORT, ask, mutated
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from adapters.commands import Commands
-from adapters.member import Member
+from adapters.controller.commands import Commands
+from adapters.controller.participant import Member
 from orchestrator.bus.base import RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.members import Members
-from orchestrator.lab.virtual import VirtualFleet
+from orchestrator.coordinator.fleet.requests import Members
 from orchestrator.model.messages import Commit, EnableRequest, Reply, TogetherReply, TraceReply
 from orchestrator.model.messages import Request as Asked
+from orchestrator.runtime.virtual import VirtualFleet
 
 BOTH = job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms")
 TRACE = {**HEAD, "request_id": "t"}

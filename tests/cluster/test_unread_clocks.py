@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
+from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30
 from orchestrator.client.clocks import clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.lab.sync_fleets import ppsmc, shrc203, smc30
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 HOME = job("[{do: enable, axes: [u]}, {do: home}]")
 LIVE = smc30(1, 1)

@@ -7,12 +7,12 @@ from typing import Any, TypeVar
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.files import load_fleet, load_job, parse
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Refusal
 from orchestrator.model.report import JobReport, Lease
+from orchestrator.runtime.virtual import VirtualFleet
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 T = TypeVar("T")

@@ -10,8 +10,8 @@ from typing import Any
 from drivers_together import Together
 
 from adapters.contract import CannotDo, Driver, DriverFault, Firer, Lowered, Outcome, Setup, Span
-from adapters.firing import LoopFirer
-from adapters.host import find_make
+from adapters.host.host import find_make
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused

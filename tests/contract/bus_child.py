@@ -47,7 +47,7 @@ async def behave(bus: Bus, name: str) -> None:
 
 
 def _router(endpoint: str) -> None:
-    from orchestrator.bus.zenoh_sessions import open_router
+    from orchestrator.bus.zenoh.sessions import open_router
 
     with open_router(endpoint):
         sys.stdout.write("up\n")
@@ -56,7 +56,7 @@ def _router(endpoint: str) -> None:
 
 
 async def _peer(endpoint: str, name: str) -> None:
-    from orchestrator.bus.zenoh_bus import open_bus
+    from orchestrator.bus.zenoh.bus import open_bus
 
     bus = await open_bus(endpoint)
     try:

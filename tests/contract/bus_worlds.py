@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from bus_child import behave
 
 from orchestrator.bus.base import Bus, Priority, Sample
-from orchestrator.bus.memory import MemoryNet
+from orchestrator.bus.memory.bus import MemoryNet
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 
 LIMIT_S = 20.0
@@ -101,7 +101,7 @@ class LiveWorld:
         self._buses: list[Bus] = []
 
     async def join(self, name: str) -> Bus:
-        from orchestrator.bus.zenoh_bus import open_bus
+        from orchestrator.bus.zenoh.bus import open_bus
 
         bus = await open_bus(self.endpoint)
         self._buses.append(bus)

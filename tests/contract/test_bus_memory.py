@@ -6,7 +6,7 @@ from contextvars import ContextVar
 import pytest
 
 from orchestrator.bus.base import NoReply, Priority, RequestTimeout, Sample
-from orchestrator.bus.memory import LEASE_NS, MemoryBus, MemoryNet
+from orchestrator.bus.memory.bus import LEASE_NS, MemoryBus, MemoryNet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import Process, VirtualClock, run_virtual
 

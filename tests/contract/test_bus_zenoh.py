@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bus_worlds import LIMIT_S, LiveWorld, linked, run_live, until
 
 from orchestrator.bus.base import NoReply, Priority, RequestRefused, RequestTimeout, Sample
-from orchestrator.bus.zenoh_bus import open_bus
-from orchestrator.bus.zenoh_sessions import RouterRefused, RouterUnreachable, open_router
-from orchestrator.bus.zenoh_threads import off_loop
+from orchestrator.bus.zenoh.bus import open_bus
+from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable, open_router
+from orchestrator.bus.zenoh.threads import off_loop
 
 FLOOD = 1000
 """Samples of 60 kB that the kernel's socket buffers surely do not hold."""
@@ -89,7 +89,7 @@ def test_a_process_ends_although_its_router_stands_still() -> None:
     program = """
 import asyncio, os, signal, sys
 from orchestrator.bus.base import Priority
-from orchestrator.bus.zenoh_bus import open_bus
+from orchestrator.bus.zenoh.bus import open_bus
 
 async def main():
     bus = await open_bus(sys.argv[1])

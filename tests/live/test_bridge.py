@@ -11,10 +11,10 @@ from children import LIMIT_S, Children, tell
 from fleet import free_port
 
 from orchestrator.client import Tutti
-from orchestrator.lab.live import LiveFleet
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.live import LiveFleet
 
 pytestmark = pytest.mark.live
 

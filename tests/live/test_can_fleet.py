@@ -86,7 +86,7 @@ def test_the_guardian_stops_a_bus_whose_adapter_host_is_killed(fleet: RunningFle
     assert report.state == "done", report.reason
     fleet.submit([{"do": "move", "to": {"left.a": 400, "right.b": 400}, "speed": 0.1}])
     wait_until(lambda: fleet.starts("left") + fleet.starts("right") == 2, "both move")
-    killed_ns = fleet.kill("adapters.host_process")
+    killed_ns = fleet.kill("adapters.host.host_process")
     for name in ("left", "right"):
         last = fleet.at_rest(name)
         note(f"{name} at rest after s", margin_s(killed_ns, last["end_ns"]))

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from children import LIMIT_S
 
-from adapters.firing_process import ProcessFirer
+from adapters.host.firing_process import ProcessFirer
 from adapters.link.open import open_link
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import LiveClock, raw_ns

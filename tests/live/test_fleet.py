@@ -23,9 +23,9 @@ from fleet import (
     wait_a_moment,
 )
 
-from orchestrator.clock.hurry import Urgency
 from orchestrator.clock.live import raw_ns
-from orchestrator.coordinator.journal import Journal
+from orchestrator.clock.realtime import Urgency
+from orchestrator.coordinator.journal.journal import Journal
 
 pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 
@@ -131,9 +131,9 @@ def test_all_makes_run_one_job_together_and_a_wire_starts_them() -> None:
 def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFleet) -> None:
     urgencies = {
         "bus.router_process": Urgency.BUS,
-        "adapters.guardian": Urgency.GUARDIAN,
-        "adapters.host_process": Urgency.SERVICE,
-        "adapters.firing_process": Urgency.FIRING,
+        "adapters.host.guardian": Urgency.GUARDIAN,
+        "adapters.host.host_process": Urgency.SERVICE,
+        "adapters.host.firing_process": Urgency.FIRING,
         "sim.link.process --model smc4000": Urgency.BUS,
         "coordinator.process": Urgency.SERVICE,
     }
@@ -165,7 +165,7 @@ def test_clocks_are_listed_and_a_fleet_without_wires_says_so(shared: RunningFlee
 @pytest.mark.parametrize(
     ("victim", "bound_s"),
     [
-        ("adapters.host_process", HOST_DEAD_S),
+        ("adapters.host.host_process", HOST_DEAD_S),
         ("orchestrator.coordinator.process", COORDINATOR_LOST_S),
     ],
 )
@@ -189,7 +189,7 @@ def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: Runn
     bring_back(shared)
     before = {name: shared.starts(name) for name in SLOW_AXES}
     job_id = shared.slow_move([{"do": "move", "by": {"gantry.x": 40, "stage.u": 4}, "speed": 0.1}])
-    killed_ns = shared.kill("orchestrator.bus.router_process")
+    killed_ns = shared.kill("orchestrator.bus.zenoh.router")
     took_s = {name: margin_s(killed_ns, shared.rest_ns(name)) for name in SLOW_AXES}
     report = shared.wait(job_id)
     if report.state != "done":
@@ -205,7 +205,7 @@ def test_a_killed_router_is_back_before_the_end_or_everything_stops(shared: Runn
 def test_a_hung_router_stops_everything_and_work_goes_on(shared: RunningFleet) -> None:
     bring_back(shared)
     job_id = shared.slow_move()
-    router = shared.pid("orchestrator.bus.router_process")
+    router = shared.pid("orchestrator.bus.zenoh.router")
     os.kill(router, signal.SIGSTOP)
     try:
         stopped_ns = raw_ns()
@@ -261,7 +261,7 @@ def test_an_estop_latches_survives_a_restart_and_is_reset(shared: RunningFleet) 
         took_s = {name: margin_s(asked_ns, shared.rest_ns(name)) for name in SLOW_AXES}
         assert max(took_s.values()) < RAMPS_S + 2 * BUSY_S, took_s
         before = {state.instance for state in shared.status().values()}
-        shared.kill("adapters.host_process")
+        shared.kill("adapters.host.host_process")
 
         def is_back() -> bool:
             states = shared.status().values()

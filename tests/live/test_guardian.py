@@ -72,13 +72,13 @@ class Site:
         folder = children.folder
         with socket.create_server(("127.0.0.1", 0)) as free:
             endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        ready(children.start("orchestrator.bus.router_process", endpoint, str(os.getpid())))
+        ready(children.start("orchestrator.bus.zenoh.router", endpoint, str(os.getpid())))
         fleet = folder / "fleet.json"
         fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": controllers}))
         self._log = folder / "log.jsonl"
         arguments = ["--fleet", str(fleet), "--host", "local", "--connect", endpoint]
         arguments += ["--state", str(folder / "state"), "--log", str(self._log)]
-        self.guardian = children.start("adapters.guardian", *arguments)
+        self.guardian = children.start("adapters.host.guardian", *arguments)
         ready(self.guardian)
         self._names = list(controllers)
         self.online(1)
@@ -193,7 +193,7 @@ def test_asked_to_end_it_ends_its_host_which_stops_its_controllers(
     assert controllers[0].said(GUARDIAN_STOP) is None
 
 
-@pytest.mark.parametrize("module", ["adapters.guardian", "adapters.host_process"])
+@pytest.mark.parametrize("module", ["adapters.host.guardian", "adapters.host.host_process"])
 def test_bad_input_is_one_line_and_code_2(module: str, children: Children) -> None:
     missing = str(children.folder / "missing.yaml")
     wrong = ["--fleet", missing, "--host", "local", "--connect", "tcp/127.0.0.1:1", "--state", str(children.folder)]
@@ -210,7 +210,7 @@ def test_a_router_that_is_not_there_is_code_3(children: Children) -> None:
     one = {"adapter": "fake", "link": {"kind": "tcp", "host": "127.0.0.1", "port": 1}, "axes": {"x": axis}}
     fleet.write_text(json.dumps({"schema": "tutti.fleet/1", "fleet": "f", "controllers": {"c": one}}))
     arguments = ["--fleet", str(fleet), "--host", "local", "--state", str(children.folder)]
-    process = children.start("adapters.host_process", *arguments, "--connect", "tcp/127.0.0.1:1")
+    process = children.start("adapters.host.host_process", *arguments, "--connect", "tcp/127.0.0.1:1")
     begun_s = time.monotonic()
     _, said = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 3

@@ -12,7 +12,7 @@ from children import LIMIT_S, wait_until
 from fleet import EXAMPLES, ONE_FLEET_AT_A_TIME, RunningFleet, margin_s, run_tutti, wait_a_moment
 
 from orchestrator.clock.live import raw_ns
-from orchestrator.lab.terminal_process import TerminalProcess
+from orchestrator.runtime.terminal_process import TerminalProcess
 
 pytestmark = [pytest.mark.live, ONE_FLEET_AT_A_TIME]
 

@@ -12,7 +12,7 @@ from children import wait_until
 from click.testing import CliRunner
 
 from orchestrator.cli.main import main
-from orchestrator.lab.workers import spread
+from orchestrator.runtime.workers import spread
 
 pytestmark = pytest.mark.live
 
@@ -34,7 +34,7 @@ def test_two_processes_measure_what_one_does() -> None:
 
 
 def test_workers_end_with_their_parent() -> None:
-    code = "from orchestrator.lab.workers import spread; from time import sleep\n"
+    code = "from orchestrator.runtime.workers import spread; from time import sleep\n"
     code += "if __name__ == '__main__':\n for k in spread(sleep, [0, 0, 600, 600], 2): print(k, flush=True)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None

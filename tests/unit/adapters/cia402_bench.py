@@ -9,7 +9,7 @@ from typing import Any
 from adapters.cia402 import MAKE
 from adapters.cia402.driver import CiaDriver
 from adapters.contract import Lowered, Setup
-from adapters.firing import LoopFirer
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_until_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.can import CanFrame

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from adapters.contract import Outcome, Setup, Span
-from adapters.firing import LoopFirer
 from adapters.ppsmc import MAKE
 from adapters.ppsmc.driver import PpSmcDriver
 from adapters.ppsmc.lowering import SmcLowered
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire

@@ -13,7 +13,7 @@ from unit.adapters.test_cia402_stream import SMOOTH, another, followed, released
 from adapters.cia402 import MAKE
 from adapters.cia402.words import ABORTS, abort_text
 from adapters.contract import CannotDo, DriverFault, JogMove, Setup
-from adapters.firing import LoopFirer
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.base import LinkClosed

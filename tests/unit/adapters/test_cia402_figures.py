@@ -1,8 +1,8 @@
 """What is asked of the lowering for CiA 402 drives, and of a bus of them, in a few moves each."""
 
-from orchestrator.lab.bench_can import bench_can
-from orchestrator.lab.bench_can_stream import bench_stream
-from orchestrator.lab.bench_lowering_steppers import bench_stepper
+from orchestrator.bench.can import bench_can
+from orchestrator.bench.can_stream import bench_stream
+from orchestrator.bench.lowering_steppers import bench_stepper
 
 
 def test_lowered_moves_take_what_was_planned_and_are_executed_as_predicted() -> None:

@@ -5,8 +5,8 @@ from typing import Any
 from cluster.worlds import job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 NAMES = [f"d{number}" for number in range(6)]
 

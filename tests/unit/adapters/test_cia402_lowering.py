@@ -13,7 +13,7 @@ from adapters.cia402.shape import Bounds, Units, fit
 from adapters.cia402.states import State, state_of
 from adapters.cia402.words import abort_text, emergency_text
 from adapters.contract import CannotDo, Setup
-from adapters.firing import LoopFirer
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.queue import EventQueue
 from orchestrator.link.base import Link
 from orchestrator.model.fleet import Controller

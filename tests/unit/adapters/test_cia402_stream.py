@@ -11,7 +11,7 @@ from adapters.cia402 import MAKE
 from adapters.cia402.bus import SHARED
 from adapters.cia402.course import Course
 from adapters.contract import CannotDo, DriverFault, JogMove, Outcome, Setup, Span
-from adapters.firing import LoopFirer
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame, encode

@@ -8,8 +8,8 @@ from typing import Any, Literal, cast
 import pytest
 
 from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
-from adapters.member import STOPS_NS, Member, Phase, Ticket
-from adapters.settling import Settled
+from adapters.controller.participant import STOPS_NS, Member, Phase, Ticket
+from adapters.controller.settling import Settled
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual

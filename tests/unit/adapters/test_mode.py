@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import pytest
 
-from adapters.condition import STARTING, Condition
 from adapters.contract import AxisReading, CannotDo, Driver, DriverFault, Reading
-from adapters.jogging import Jogging
-from adapters.presenter import Presenter
-from adapters.seat import Seat
-from adapters.unit import Unit
+from adapters.controller.context import Seat
+from adapters.controller.jogging import Jogging
+from adapters.controller.publisher import Presenter
+from adapters.controller.status import STARTING, Condition
+from adapters.controller.supervisor import Unit
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed

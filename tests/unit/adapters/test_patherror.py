@@ -2,7 +2,7 @@
 
 import pytest
 
-from adapters.patherror import path_error_counts
+from adapters.toolkit.path_error import path_error_counts
 from orchestrator.model.profile import Profile
 
 TRIANGLE = Profile(0, 100, 100.0, (1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (0.0, 0.0, 0.0))  # without a cruise

@@ -6,8 +6,8 @@ from typing import cast
 import pytest
 
 from adapters.contract import Firer
-from adapters.firing import ORDINARY_US, FiringOptions, as_punctual_as
-from adapters.host import find_make
+from adapters.host.host import find_make
+from adapters.toolkit.firing import ORDINARY_US, FiringOptions, as_punctual_as
 
 FIRER = cast(Firer, SimpleNamespace(late_us=ORDINARY_US))
 

@@ -11,9 +11,9 @@ import pytest
 from unit.adapters.restarts import sees_the_restart
 
 from adapters.contract import CannotDo, DriverFault, Setup
-from adapters.firing import LoopFirer
 from adapters.shrc203 import MAKE
 from adapters.shrc203.driver import ShrcDriver
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire

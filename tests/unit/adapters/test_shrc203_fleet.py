@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from cluster.worlds import demo_fleet, job, outcome, run_fleet
 
-from orchestrator.lab.virtual import VirtualFleet
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.virtual import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [stage, other]}, {do: home}]")
 MOVES = {

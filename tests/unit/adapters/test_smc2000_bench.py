@@ -10,8 +10,8 @@ from typing import Any
 from unit.adapters.test_smc4000_bench import trapezoid
 
 from adapters.contract import Driver, Setup
-from adapters.firing import LoopFirer
-from adapters.yaskawa.smc2000 import MAKE
+from adapters.toolkit.firing import LoopFirer
+from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire

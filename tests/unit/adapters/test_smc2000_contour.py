@@ -11,10 +11,10 @@ import pytest
 from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, World, run, run_chain, trapezoid
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.yaskawa.dialect import MAX_LINE
-from adapters.yaskawa.gate import Gate
-from adapters.yaskawa.smc2000_options import Smc2000Options
-from adapters.yaskawa.smc2000_program import BESIDE, LETTERS, arrays, program, variables
+from adapters.yaskawa.common.dialect import MAX_LINE
+from adapters.yaskawa.common.gate import Gate
+from adapters.yaskawa.smc2000.options import Smc2000Options
+from adapters.yaskawa.smc2000.program import BESIDE, LETTERS, arrays, program, variables
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile

@@ -7,7 +7,7 @@ import pytest
 from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.yaskawa.smc2000 import MAKE
+from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller

@@ -9,10 +9,10 @@ from random import Random
 from typing import Any
 
 from adapters.contract import CannotDo, DriverFault, Outcome, Setup, Span
-from adapters.firing import LoopFirer
 from adapters.smc30 import MAKE
 from adapters.smc30.driver import SmcDriver
 from adapters.smc30.lowering import SmcLowered
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire

@@ -11,8 +11,8 @@ from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_smc30_bench import HOST, World, config, run, wait
 
 from adapters.contract import CannotDo, DriverFault, JogMove, Setup
-from adapters.firing import LoopFirer
 from adapters.smc30 import MAKE
+from adapters.toolkit.firing import LoopFirer
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile

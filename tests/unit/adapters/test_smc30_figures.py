@@ -1,7 +1,7 @@
 """What is asked of the SMC30's figures, on few rounds of the benchmarks that measure them."""
 
-from orchestrator.lab.bench_lowering_steppers import bench_stepper
-from orchestrator.lab.bench_smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
+from orchestrator.bench.lowering_steppers import bench_stepper
+from orchestrator.bench.smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
 
 
 def test_seven_units_start_together_by_slots_and_by_a_line() -> None:

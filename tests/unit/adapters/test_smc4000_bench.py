@@ -7,9 +7,9 @@ from random import Random
 from typing import Any
 
 from adapters.contract import Driver, Setup
-from adapters.firing import LoopFirer
-from adapters.yaskawa.options import Options
-from adapters.yaskawa.smc4000 import MAKE
+from adapters.toolkit.firing import LoopFirer
+from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.smc4000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import LAN, MemoryWire

@@ -10,7 +10,7 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.contract import CannotDo, DriverFault, JogMove
-from adapters.yaskawa.smc4000 import MAKE
+from adapters.yaskawa.smc4000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay

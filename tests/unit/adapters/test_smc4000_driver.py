@@ -8,8 +8,8 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
 
 from adapters.contract import CannotDo, DriverFault
-from adapters.yaskawa.gate import Gate
-from adapters.yaskawa.options import Options
+from adapters.yaskawa.common.gate import Gate
+from adapters.yaskawa.common.options import Options
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.model.messages import StartWay
 from orchestrator.model.profile import Profile

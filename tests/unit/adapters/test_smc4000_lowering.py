@@ -9,11 +9,11 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, trapezoid
 
 from adapters.contract import CannotDo
-from adapters.yaskawa.contour import LEAST_RECORDS, Room, fit_contour, increments, least_interval
-from adapters.yaskawa.lowering import LoweredMoves, Records, Registers, lower_moves
-from adapters.yaskawa.model import SMC4000
-from adapters.yaskawa.options import Options
-from adapters.yaskawa.trapezoid import Bounds, fit
+from adapters.yaskawa.common.contour import LEAST_RECORDS, Room, fit_contour, increments, least_interval
+from adapters.yaskawa.common.lowering import LoweredMoves, Records, Registers, lower_moves
+from adapters.yaskawa.common.model import SMC4000
+from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.trapezoid import Bounds, fit
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay

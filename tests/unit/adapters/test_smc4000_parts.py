@@ -7,14 +7,14 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.contract import CannotDo
-from adapters.yaskawa.dialect import MAX_LINE
-from adapters.yaskawa.gate import Gate
-from adapters.yaskawa.model import RAMP_UNIT, SMC4000, SPEED_UNIT
-from adapters.yaskawa.options import Options
-from adapters.yaskawa.program import VARIABLES, program
-from adapters.yaskawa.session import parse_reply
-from adapters.yaskawa.smc4000 import MAKE
-from adapters.yaskawa.trapezoid import Bounds, Place, fit
+from adapters.yaskawa.common.dialect import MAX_LINE
+from adapters.yaskawa.common.gate import Gate
+from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
+from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.program import VARIABLES, program
+from adapters.yaskawa.common.trapezoid import Bounds, Place, fit
+from adapters.yaskawa.smc4000.driver import MAKE
+from adapters.yaskawa.smc4000.session import parse_reply
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartWay

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from adapters.contract import CannotDo
-from adapters.fence import Fence
-from adapters.store import FileStore, Memory, MemoryStore, Remembered
-from orchestrator.clock.disk import Threaded, inline
+from adapters.controller.fencing import Fence
+from adapters.controller.store import FileStore, Memory, MemoryStore, Remembered
+from orchestrator.clock.executor import Threaded, inline
 from orchestrator.model.messages import Adopt, Reign
 from orchestrator.model.state import EstopLatch
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from orchestrator.cli.hold import BEGIN_NS, GAP_NS, SILENT_NS, TAP_NS, WAIT_NS, Grip, Hold
-from orchestrator.cli.keys import Key
+from orchestrator.cli.jog.held_key import BEGIN_NS, GAP_NS, SILENT_NS, TAP_NS, WAIT_NS, Grip, Hold
+from orchestrator.cli.jog.keys import Key
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 
 LEFT, RIGHT = Key("left"), Key("right")

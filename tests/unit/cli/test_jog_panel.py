@@ -1,7 +1,8 @@
 """The jog panel's logic in virtual time: keys and answers in, requests out."""
 
-from orchestrator.cli.hold import SILENT_NS, TAP_NS, WAIT_NS
-from orchestrator.cli.jog_panel import (
+from orchestrator.cli.jog.held_key import SILENT_NS, TAP_NS, WAIT_NS
+from orchestrator.cli.jog.keys import Focus, Key
+from orchestrator.cli.jog.panel import (
     IDLE_NS,
     RENEW_NS,
     Action,
@@ -14,7 +15,6 @@ from orchestrator.cli.jog_panel import (
     StopFleet,
     TakeAxis,
 )
-from orchestrator.cli.keys import Focus, Key
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
 from orchestrator.model.messages import Refusal

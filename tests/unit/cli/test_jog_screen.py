@@ -5,9 +5,9 @@ import io
 import pytest
 from rich.console import Console
 
-from orchestrator.cli.jog_panel import JogPanel
-from orchestrator.cli.jog_screen import STALE_NS, screen
-from orchestrator.cli.keys import Key
+from orchestrator.cli.jog.keys import Key
+from orchestrator.cli.jog.panel import JogPanel
+from orchestrator.cli.jog.screen import STALE_NS, screen
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.fleet import Axis
 from orchestrator.model.messages import Refusal

@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from orchestrator.cli.keys import DeviceAttributes, Event, Focus, Key, KeyboardFlags, KeyParser
+from orchestrator.cli.jog.keys import DeviceAttributes, Event, Focus, Key, KeyboardFlags, KeyParser
 
 CASES: list[tuple[bytes, list[Event]]] = [
     (b"\x1b[D", [Key("left")]),

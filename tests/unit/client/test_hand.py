@@ -8,9 +8,9 @@ import pytest
 
 from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
-from orchestrator.bus.memory import MemoryNet
+from orchestrator.bus.memory.bus import MemoryNet
 from orchestrator.client import Refused, Tutti
-from orchestrator.client.hand import Hand
+from orchestrator.client.manual import Hand
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.messages import JogRequest, Refusal, Reply

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from orchestrator.clock.disk import beside
+from orchestrator.clock.executor import beside
 
 
 def test_what_is_told_is_on_disk_before_anything_comes_of_what_was_done() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from orchestrator.clock.hurry import STEP_BACK_S, Urgency, hurry, may_hurry, step_back
+from orchestrator.clock.realtime import STEP_BACK_S, Urgency, hurry, may_hurry, step_back
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ from random import Random
 
 import pytest
 
+from orchestrator.bench.rates import CASES, bench_rates
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.inferred import UnreadClock
 from orchestrator.clock.latency import KEPT, Latency, LatencyEstimator
 from orchestrator.clock.rate import Gate, Measure, RateEstimator
 from orchestrator.clock.timed import TimedMove
-from orchestrator.clock.unread import UnreadClock
-from orchestrator.lab.bench_rates import CASES, bench_rates
 from sim.core.oscillator import Oscillator
 
 START = Latency(NS_PER_MS, 0, 3 * NS_PER_MS)

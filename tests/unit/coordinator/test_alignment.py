@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from orchestrator.coordinator.alignment import ENOUGH, Grid, closest
+from orchestrator.coordinator.motion.alignment import ENOUGH, Grid, closest
 
 TICK_NS = 976_562.5
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.clock.disk import Threaded
-from orchestrator.coordinator.journal import Again, HasEnded, Journal, JournalError, Overtaken
-from orchestrator.coordinator.journal_schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.clock.executor import Threaded
+from orchestrator.coordinator.journal.journal import Again, HasEnded, Journal, JournalError, Overtaken
+from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.files import parse
 from orchestrator.model.job import Job
 from orchestrator.model.queue import Terms

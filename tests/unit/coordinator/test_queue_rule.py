@@ -2,8 +2,8 @@
 
 from random import Random
 
-from orchestrator.coordinator.journal import JobRow
-from orchestrator.coordinator.queue import Waiting, choose, in_order, needs_of
+from orchestrator.coordinator.jobs.queue import Waiting, choose, in_order, needs_of
+from orchestrator.coordinator.journal.journal import JobRow
 from orchestrator.model.files import parse
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job

@@ -9,8 +9,8 @@ from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.reign import HEARTBEAT_NS, LISTEN_NS
-from orchestrator.coordinator.standby import vacancy
+from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LISTEN_NS
+from orchestrator.coordinator.leadership.standby import vacancy
 from orchestrator.model.messages import Reign
 
 REIGN = Reign(

@@ -1,6 +1,6 @@
 """How a guardian counts the silence of its child."""
 
-from adapters.guardian import LONGEST_LOOK_NS, Silence
+from adapters.host.guardian import LONGEST_LOOK_NS, Silence
 from orchestrator.clock.base import NS_PER_MS
 
 

@@ -18,7 +18,8 @@ PACKAGES = ("orchestrator", "adapters", "sim")
 # What runs in virtual time reads no clock, starts no thread, and draws nothing without a seed. Exempt are the live
 # ends, each for the reason that stands in its docstring, and benchmarks, which measure real time.
 LIVE = re.compile(
-    r"(process|live|guardian|workers|zenoh_\w+|disk|bench_\w+|parent)\.py$|/link/|^orchestrator/cli/|^orchestrator/client/(api|blocking)"
+    r"(process|live|guardian|workers|executor|parent)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
+    r"|^orchestrator/bench/(?!can_world|sync_)|^orchestrator/client/(api|blocking)"
 )
 BANNED = {"time", "threading", "concurrent.futures", "uuid", "multiprocessing", "secrets"}
 
@@ -61,7 +62,7 @@ def test_locks_name_no_download_address() -> None:
         ("orchestrator.cli.main", ["zenoh", "numpy", "ruckig", "pydantic", "rich", "asyncio"]),
         # What an e-stop from a shell waits for.
         (
-            "orchestrator.cli.main, orchestrator.cli.fleet, orchestrator.bus.estop, orchestrator.bus.zenoh_bus",
+            "orchestrator.cli.main, orchestrator.cli.fleet, orchestrator.bus.estop, orchestrator.bus.zenoh.bus",
             ["numpy", "ruckig", "pydantic", "yaml"],
         ),
     ],

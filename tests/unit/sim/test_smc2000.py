@@ -8,8 +8,8 @@ from orchestrator.clock.queue import EventQueue
 from sim.core.controller import Connection, PortRefused, SimulatedController, Timing
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC2000
-from sim.yaskawa.chain import Chain
-from sim.yaskawa.errors import SMC2000 as TEXTS
+from sim.yaskawa.base.errors import SMC2000 as TEXTS
+from sim.yaskawa.smc2000.chain import Chain
 
 SAMPLE_NS = 976562.5
 HOP_NS = 520_833

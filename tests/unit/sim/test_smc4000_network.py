@@ -9,7 +9,7 @@ from unit.sim.desk import Desk
 from orchestrator.link.supply import Supply
 from sim.core.controller import Connection, Send, Timing
 from sim.yaskawa import SMC4000
-from sim.yaskawa.network import Network
+from sim.yaskawa.ports.network import Network
 
 OTHER = "192,168,3,11"
 OTHER_NUMBER = int.from_bytes(bytes((192, 168, 3, 11)), "big") - (1 << 32)

@@ -1,0 +1,1 @@
+"""One controller on the bus, whatever its make."""

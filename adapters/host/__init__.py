@@ -1,0 +1,1 @@
+"""The adapter host process and its guardian."""

@@ -1,0 +1,190 @@
+"""Eight CiA 402 drives that follow positions on one CAN bus at 1 Mbit/s, jerk-limited, in virtual time: how well they
+keep together and to their plan by the simulator's truth, what the bus carries, and whether a position is ever late.
+
+Beside it, the same plans by a script that sends positions and a SYNC when a timer of its event loop is due.
+"""
+
+import asyncio
+from collections.abc import Mapping
+from math import ceil
+from typing import NamedTuple
+
+from orchestrator.bench.can_world import (
+    ACCELERATION,
+    BITRATE,
+    NODES,
+    VELOCITY,
+    CanWorld,
+    can_row,
+    can_world,
+    written,
+)
+from orchestrator.bench.figures import Figure
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.can import CanFrame, CanLink
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+
+JERK = 4_000_000.0
+PERIOD_NS = 10 * NS_PER_MS
+SCRIPT_LATE_NS = 100 * NS_PER_US, 3 * NS_PER_MS  # how late a loop's timer wakes it, beside other work
+NEAR, FAR = 20_000, 40_000  # ways of the axes, counts
+CRUISE = 20_000.0
+LONG = 400_000  # 20 s at that
+PEAK_SHARE = 0.1  # of the peak velocity, below which a distance is no time
+LOOK_NS = NS_PER_MS
+MOVES = 20  # of the same drives
+SLOW_LOOKS = {"event_ms": 10}
+"""Of the simulated drives over hours: their states are not sent more often in any case."""
+ASKED_SKEW_MS, ASKED_LOAD = 0.3, 60.0
+_CYCLIC = 8
+_REST = 4  # periods
+
+
+class _Round(NamedTuple):
+    """One move. skew_ms: the most that axes were apart in time on their plans. off_ms: the most that one was from its
+    own. load: the part of the time that the bus was busy."""
+
+    skew_ms: float
+    off_ms: float
+    load: float
+
+
+def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[Figure]:
+    """`rounds` moves each way, with new drives every `MOVES` of them; and long moves for `hours`."""
+    by_script: list[_Round] = []
+    found: list[_Round] = []
+    for number in range(ceil(rounds / MOVES)):
+        moves = min(MOVES, rounds - number * MOVES)
+        by_script += run_virtual(lambda clock, s=seed + number, n=moves: _scripted(clock, s, n))
+        found += run_virtual(lambda clock, s=seed + number, n=moves: _streamed(clock, s, n))
+    periods, underruns = run_virtual(lambda clock: _for_hours(clock, seed, hours))
+    none = Figure(f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0)
+    return [
+        can_row("path skew, positions by a script's timer", [each.skew_ms for each in by_script], "ms"),
+        can_row("path skew, streamed", [each.skew_ms for each in found], "ms", ASKED_SKEW_MS),
+        can_row("furthest from the plan, by a script's timer", [each.off_ms for each in by_script], "ms"),
+        can_row("furthest from the plan, streamed", [each.off_ms for each in found], "ms"),
+        can_row("bus load, all eight follow at 100 Hz", [100 * each.load for each in found], "%", ASKED_LOAD),
+        none,
+    ]
+
+
+async def _streamed(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
+    world = can_world(clock, seed, {"jerk": JERK})
+    await world.ready()
+    found: list[_Round] = []
+    for _ in range(moves):
+        profiles = _plan(world)
+        t0_ns = await _released(world, profiles)
+        await sleep_until_ns(clock, t0_ns)
+        watching = asyncio.get_running_loop().create_task(_watch(world, profiles, t0_ns))
+        busy_ns = world.segment.bus.busy_ns
+        if not await _ended(world):
+            raise RuntimeError("a move of the benchmark did not come to its end")
+        load = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - t0_ns)
+        found.append(_Round(*await watching, load))
+    await world.close()
+    return found
+
+
+async def _scripted(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
+    """The drives are enabled by their drivers; then a script has them."""
+    world = can_world(clock, seed, {"jerk": JERK})
+    await world.ready()
+    can = CanLink(await world.wire.open(), BITRATE)
+    for node in NODES:
+        await written(can, node, 0x6060, 0, _CYCLIC, 1)
+    await sleep_ns(clock, 100 * NS_PER_MS)
+    found: list[_Round] = []
+    for _ in range(moves):
+        profiles = _plan(world)
+        ats = {node: profile.evaluator() for node, profile in profiles.items()}
+        t0_ns, busy_ns = clock.now_ns(), world.segment.bus.busy_ns
+        watching = asyncio.get_running_loop().create_task(_watch(world, profiles, t0_ns))
+        periods = 1
+        # Until all have come to rest: drives that move have a fault without SYNC.
+        while periods * PERIOD_NS <= profiles[1].duration_s * NS_PER_S + _REST * PERIOD_NS:
+            for node, at in ats.items():
+                counts = profiles[node].start_counts + round(at(periods * PERIOD_NS / NS_PER_S).position)
+                can.send(CanFrame(0x500 + node, counts.to_bytes(4, "little", signed=True)))
+            can.send(CanFrame(0x080))
+            await sleep_until_ns(clock, t0_ns + periods * PERIOD_NS + world.draw.randint(*SCRIPT_LATE_NS))
+            periods += 1
+        load = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - t0_ns)
+        found.append(_Round(*await watching, load))
+    await can.close()
+    await world.close()
+    return found
+
+
+async def _for_hours(clock: VirtualClock, seed: int, hours: float) -> tuple[int, int]:
+    """Periods of the stream, and moves that ended otherwise than at their end."""
+    world = can_world(clock, seed, {"jerk": JERK}, SLOW_LOOKS)
+    await world.ready()
+    until_ns = clock.now_ns() + round(hours * 3600 * NS_PER_S)
+    begin = periods = 0
+    while clock.now_ns() < until_ns:
+        end = 0 if begin else LONG
+        move = AxisMove("a", begin, end, CRUISE, ACCELERATION / 2, JERK, order=3)
+        profile = plan_step([move]).profiles["a"]
+        await _released(world, dict.fromkeys(NODES, profile))
+        if not await _ended(world):
+            return periods, 1
+        periods += round(profile.duration_s * NS_PER_S / PERIOD_NS)
+        begin = end
+    await world.close()
+    return periods, 0
+
+
+def _plan(world: CanWorld) -> dict[int, Profile]:
+    """One duration, and a way of its own for each axis, by node; away from 0, or back."""
+    here = {node: round(unit.position("1")) for node, unit in zip(NODES, world.units, strict=True)}
+    there = {node: 0 if here[node] else world.draw.randint(NEAR, FAR) for node in NODES}
+    moves = [
+        AxisMove(f"{node}", here[node], there[node], VELOCITY / 2, ACCELERATION / 2, JERK, order=3) for node in NODES
+    ]
+    return {int(node): profile for node, profile in plan_step(moves).profiles.items()}
+
+
+async def _released(world: CanWorld, profiles: Mapping[int, Profile]) -> int:
+    """Armed and released; T0."""
+    lowered = {
+        node: driver.lower({"a": profiles[node]}, StartWay(), None)
+        for node, driver in zip(NODES, world.drivers, strict=True)
+    }
+    lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered.values())
+    t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
+    pairs = list(zip(world.drivers, lowered.values(), strict=True))
+    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.verify() for driver in world.drivers))
+    await asyncio.gather(*(driver.go() for driver in world.drivers))
+    return t0_ns
+
+
+async def _ended(world: CanWorld) -> bool:
+    """Whether all have started, and come to their ends, as their drivers say."""
+    await asyncio.gather(*(driver.started() for driver in world.drivers))
+    outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers))
+    return all(each.state == "done" for each in outcomes)
+
+
+async def _watch(world: CanWorld, profiles: Mapping[int, Profile], t0_ns: int) -> tuple[float, float]:
+    """The most that axes were apart in time on their plans, and that one was from its own, ms: (position - plan) /
+    planned velocity, where that is at least a tenth of the axis's peak. Looked at each millisecond or so."""
+    at = {node: (each.evaluator(), each.peak_velocity, each.start_counts) for node, each in profiles.items()}
+    duration_s = max(profile.duration_s for profile in profiles.values())
+    skew_s = off_s = since_s = 0.0
+    while since_s < duration_s:
+        late: list[float] = []
+        for (planned, peak, start), unit in zip(at.values(), world.units, strict=True):
+            instant = planned(since_s)
+            if abs(instant.velocity) >= PEAK_SHARE * peak:
+                late.append((unit.position("1") - start - instant.position) / instant.velocity)
+        if late:
+            skew_s, off_s = max(skew_s, max(late) - min(late)), max(off_s, max(map(abs, late)))
+        await sleep_ns(world.clock, LOOK_NS // 2 + world.draw.randrange(LOOK_NS))
+        since_s = (world.clock.now_ns() - t0_ns) / NS_PER_S
+    return skew_s * 1e3, off_s * 1e3

@@ -1,0 +1,165 @@
+"""Chains of prebuffered moves of an SHRC-203 at 38,400 baud: how long a move takes, and whether a chain runs dry.
+
+In virtual time, judged by the simulated unit's truth. The loader has from a completion line to the next one to write
+the move after next; every move brings speeds of its own, so that its line is as long as it can be.
+"""
+
+from contextvars import copy_context
+from random import Random
+from typing import NamedTuple
+
+from adapters.contract import Setup
+from adapters.shrc203.chain import ChainMove
+from adapters.shrc203.driver import ShrcDriver
+from adapters.shrc203.options import Options
+from adapters.shrc203.trapezoid import Trapezoid
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import Link, Received
+from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.fleet import Controller
+from sim.core.controller import Timing
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+MODEL = "shrc203"
+BAUD = 38400
+HOST_NS = NS_PER_MS  # from the arrival of a line to what is made of it
+FIRMWARE = Timing(decode_ns=1_000_000, spread_ns=1_000_000)
+PPM = 50.0
+# Axes, the moves' own duration (ms), and what is asked of a move with its hand-over.
+CASES = ((("x",), 18, 20.0), (("x", "y", "z"), 33, 35.0))
+MOTORS = {"x": "1", "y": "2", "z": "3"}
+RAMPS_MS = range(2, 6)
+START_SPEEDS = range(1000, 2000)  # pls/s
+TOP_SPEEDS = range(10_000, 30_000)
+
+
+class ChainFigures(NamedTuple):
+    """move_ms: from the first start to the last end, by move, of the slowest seed. ahead_ms: the least time from the
+    answer to a load to the next completion line, over all seeds. underruns: of all seeds."""
+
+    axes: int
+    moves: int
+    seeds: int
+    move_ms: float
+    asked_ms: float
+    ahead_ms: float
+    underruns: int
+
+    @property
+    def met(self) -> bool:
+        return self.move_ms <= self.asked_ms and self.underruns == 0
+
+
+class _Chain(NamedTuple):
+    move_ms: float
+    ahead_ms: float
+    underruns: int
+
+
+class ChainBroke(Exception):
+    """A chain has not run to its end, or not as it was told. Says which and why."""
+
+
+def bench_chain(moves: int, seeds: int) -> list[ChainFigures]:
+    """Run a chain of `moves` for each number of axes and each seed. Raises `ChainBroke`."""
+    figures: list[ChainFigures] = []
+    for axes, duration_ms, asked_ms in CASES:
+        runs = [_run(axes, duration_ms, moves, seed) for seed in range(seeds)]
+        figures.append(
+            ChainFigures(
+                axes=len(axes),
+                moves=moves,
+                seeds=seeds,
+                move_ms=round(max(each.move_ms for each in runs), 3),
+                asked_ms=asked_ms,
+                ahead_ms=round(min(each.ahead_ms for each in runs), 3),
+                underruns=sum(each.underruns for each in runs),
+            )
+        )
+    return figures
+
+
+def _run(axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Chain:
+    return run_virtual(lambda clock: _measured(clock, axes, duration_ms, moves, seed))
+
+
+async def _measured(clock: VirtualClock, axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Chain:
+    draw = Random(seed)
+    oscillator = Oscillator(0, draw.uniform(-PPM, PPM), 0.05, draw.getrandbits(32))
+    unit = simulator(MODEL).build(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
+    wire = MemoryWire(clock, serial_wire(BAUD), unit, unit.ports[0], "serial line", copy_context(), seed)
+
+    async def opened() -> Link:
+        return _SlowHost(await wire.open(), clock)
+
+    setup = Setup("stage", _config(), Options(), clock, opened, LoopFirer(clock))
+    driver = ShrcDriver(setup, Options())
+    await driver.connect()
+    await driver.configure()
+    chains = {axis: [_move(draw, duration_ms) for _ in range(moves)] for axis in axes}
+    report = await driver.run_chain(chains)
+    await driver.close()
+    for axis, chain in chains.items():
+        made = [each for each in unit.motions if each.axis == MOTORS[axis]]
+        ways = [None if each.end_counts is None else round(each.end_counts - each.start_counts) for each in made]
+        if report.reason or ways != [each.distance for each in chain]:
+            raise ChainBroke(f"seed {seed}, {len(axes)} axes, axis {axis}: {report.reason or 'other moves were made'}")
+    ends = [each.end_ns for each in unit.motions if each.end_ns is not None]
+    took_ns = max(ends) - min(each.start_ns for each in unit.motions)
+    return _Chain(took_ns / NS_PER_MS / moves, (report.least_ahead_ns or 0) / NS_PER_MS, len(report.underruns))
+
+
+def _move(draw: Random, duration_ms: int) -> ChainMove:
+    """A move that takes hardly less than that, with speeds of its own."""
+    s, f, r = draw.choice(START_SPEEDS), draw.choice(TOP_SPEEDS), draw.choice(RAMPS_MS)
+    distance = round((s + f) * r / 1000 + f * (duration_ms - 2 * r) / 1000)
+    while Trapezoid(distance, s, f, r).duration_s * 1000 > duration_ms:
+        distance -= 1
+    return ChainMove(draw.choice((1, -1)) * distance, Trapezoid(distance, s, f, r))
+
+
+def _config() -> Controller:
+    limits = {"velocity": 50, "acceleration": 100_000}
+    start_rate = {"min": 1, "max": 5}
+    axes = {
+        name: {"motors": [motor], "unit": "um", "scale": 1000, "limits": limits, "start_rate": start_rate}
+        for name, motor in MOTORS.items()
+    }
+    link = {"kind": "serial", "device": "/dev/null", "baud": BAUD}
+    return Controller.model_validate({"adapter": MODEL, "link": link, "axes": axes})
+
+
+class _SlowHost:
+    """A link whose bytes are looked at `HOST_NS` after they have come."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link = link
+        self._clock = clock
+
+    @property
+    def place(self) -> str:
+        return self._link.place
+
+    @property
+    def char_ns(self) -> int:
+        return self._link.char_ns
+
+    def write(self, data: bytes) -> int:
+        return self._link.write(data)
+
+    async def read(self) -> Received:
+        received = await self._link.read()
+        await sleep_until_ns(self._clock, max(self._clock.now_ns(), received.at_ns + HOST_NS))
+        return received
+
+    def fileno(self) -> int:
+        return self._link.fileno()
+
+    def wrote(self, at_ns: int, data: bytes) -> None:
+        self._link.wrote(at_ns, data)
+
+    async def close(self) -> None:
+        await self._link.close()

@@ -1,0 +1,191 @@
+"""From the submission of a job to the first motion: 16 controllers of four axes on TCP, live and in virtual time.
+
+Each round submits one step over all 64 axes. The first rounds are not counted: the coordinator learns from them how
+quickly this fleet really arms. The parts come from the journal's transitions; the first motion from the simulators.
+"""
+
+import asyncio
+import os
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from adapters.yaskawa.common.gate import Gate
+from adapters.yaskawa.common.options import Options
+from orchestrator.bench.fleet import Steps, measured_fleet, run_steps
+from orchestrator.bench.spread import Noise, Spread, spread
+from orchestrator.bench.sync_fleets import smc4000
+from orchestrator.bench.truth import NothingHappened, Truth
+from orchestrator.client import Job
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.live import raw_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.coordinator.motion.lead_time import KEPT, KNOWN
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport, Transition
+from orchestrator.runtime.live import LiveFleet
+from orchestrator.runtime.virtual import VirtualFleet
+
+CONTROLLERS = 16
+AXES = {"x": "X", "y": "Y", "z": "Z", "w": "W"}
+DISTANCE = 2.0  # mm
+P99_MS = 300.0
+LEAD_MS = 100.0
+PARTS = {
+    "accept": ("", "queued"),
+    "plan": ("queued", "arming"),
+    "arm": ("arming", "armed"),
+    "release": ("armed", "running"),
+}
+"""By name, from which transition to which; accepted is what the client has waited for."""
+
+
+class DispatchFigures(NamedTuple):
+    """first_motion: of any axis, after the submission. lead: from when T0 was settled, all being armed and having
+    promised, to T0; armed_to_t0: from the beginning of the arming. virtual_ms, virtual_path_ms: the
+    same in virtual time, and what wire and firmware need of it: to the last answer to `go`, and from there the samples
+    before a start in which an SMC-4000 takes no release any more. simulators_cpu: their share of the processor time
+    that all processes used."""
+
+    controllers: int
+    first_motion: Spread
+    lead: Spread
+    armed_to_t0: Spread
+    parts: dict[str, Spread]
+    virtual_ms: float
+    virtual_lead_ms: float
+    virtual_path_ms: float
+    simulators_cpu: float
+    noise: Spread
+
+
+class _Round(NamedTuple):
+    """ns: from the submission to the first motion; from the settling of T0, and from the arming, to T0; each part."""
+
+    first_ns: int
+    lead_ns: int
+    armed_to_t0_ns: int
+    parts: dict[str, int]
+
+
+def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
+    """`count` SMC-4000 of four axes."""
+    controllers: dict[str, dict[str, Any]] = {}
+    for k in range(count):
+        plain = smc4000(k)
+        axis = plain["axes"]["x"]
+        options = {
+            "axes": 4,
+            "home_edge": dict.fromkeys(AXES.values(), -2000),
+            "index_every": dict.fromkeys(AXES.values(), 200),
+        }
+        controllers[f"a{k}"] = {
+            **plain,
+            "inputs": {},
+            "axes": {name: {**axis, "motors": [motor]} for name, motor in AXES.items()},
+            "simulate": {**plain["simulate"], "options": options},
+        }
+    groups = {"all": [f"{name}.{axis}" for name in controllers for axis in AXES]}
+    return Fleet.model_validate(
+        {"schema": "tutti.fleet/1", "fleet": "dispatch", "controllers": controllers, "groups": groups}
+    )
+
+
+async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
+    """`rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    fleet = dispatch_fleet()
+    virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _virtual(fleet, clock)))
+    found: list[_Round] = []
+    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+        await run_steps(tutti, _preparation(fleet))
+        truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
+        used_s = _cpu_s(live)
+        for k in range(KEPT + 1 + rounds):
+            asked_ns = raw_ns()
+            job = await tutti.submit(_job(fleet, k % 2))
+            accepted_ns = raw_ns() - asked_ns
+            report = await tutti.wait(job, poll_s=0.1)
+            if report.state != "done":
+                raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
+            first_ns = min(await asyncio.gather(*(truth.after("start", asked_ns) for truth in truths)))
+            parts = _parts((await tutti.show(job)).transitions, accepted_ns)
+            found.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
+        sims_s, all_s = (after - before for before, after in zip(used_s, _cpu_s(live), strict=True))
+    counted = found[KEPT + 1 :]
+    options = Options()
+    release_ns = Gate.of(options).release * options.tick_ns
+    return DispatchFigures(
+        controllers=len(fleet.controllers),
+        first_motion=spread([each.first_ns for each in counted], p99_ms=P99_MS),
+        lead=spread([each.lead_ns for each in counted], max_ms=LEAD_MS),
+        armed_to_t0=spread([each.armed_to_t0_ns for each in counted]),
+        parts={name: spread([each.parts[name] for each in counted]) for name in PARTS},
+        virtual_ms=round(virtual.first_ns / 1e6, 1),
+        virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
+        virtual_path_ms=round((sum(virtual.parts.values()) + release_ns) / 1e6, 1),
+        simulators_cpu=round(sims_s / all_s, 2) if all_s else 0.0,
+        noise=noise.spread(),
+    )
+
+
+async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
+    """The last of some rounds, by when the fleet is known; with the parts of all of them in the mean, because a gate
+    looks only every few samples whether it is open, and one round says little of that."""
+    virtual = VirtualFleet(fleet, clock, 1, guardian=False)
+    await virtual.start()
+    tutti = virtual.client()
+    await run_steps(tutti, _preparation(fleet))
+    rounds: list[_Round] = []
+    for k in range(KNOWN + 1):
+        await sleep_ns(clock, NS_PER_S)
+        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        asked_ns = clock.now_ns()
+        job = await tutti.submit(_job(fleet, k % 2))
+        accepted_ns = clock.now_ns() - asked_ns
+        report = await job.result()
+        first_ns = min(each.motions[before[name]].start_ns for name, each in virtual.controllers.items())
+        parts = _parts((await job.show()).transitions, accepted_ns)
+        rounds.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
+    means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
+    return rounds[-1]._replace(parts=means)
+
+
+def _preparation(fleet: Fleet) -> Steps:
+    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["all"]}]
+
+
+def _job(fleet: Fleet, way: int) -> Job:
+    steps = [{"do": "move", "by": dict.fromkeys(fleet.axis_names, -DISTANCE if way else DISTANCE)}]
+    return Job.model_validate({"schema": "tutti.job/1", "name": "dispatch", "max_start_skew": "50 ms", "steps": steps})
+
+
+def _leads_ns(report: JobReport) -> tuple[int, int]:
+    """T0 after it was settled, and after the beginning of the arming."""
+    step = report.steps[0]
+    assert step.t0_fleet_ns is not None and step.settled_fleet_ns is not None and step.arming_fleet_ns is not None
+    return step.t0_fleet_ns - step.settled_fleet_ns, step.t0_fleet_ns - step.arming_fleet_ns
+
+
+def _parts(transitions: list[Transition], accepted_ns: int) -> dict[str, int]:
+    """How long each part took; of a step that was armed twice, the last time."""
+    at = {each.state: datetime.fromisoformat(each.utc) for each in transitions}
+    parts = {"accept": accepted_ns}
+    for name, (first, last) in PARTS.items():
+        if first:
+            parts[name] = round((at[last] - at[first]).total_seconds() * 1e9)
+    return parts
+
+
+def _cpu_s(live: LiveFleet) -> tuple[float, float]:
+    """Processor time of the simulators, and of all processes of the fleet and this one."""
+    ticks = os.sysconf("SC_CLK_TCK")
+
+    def used(pid: int) -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
+        return (int(fields[11]) + int(fields[12])) / ticks + sum(used(int(child)) for child in children)
+
+    by_child = {name: used(child.pid) for name, child in live.children.items()}
+    simulators = sum(value for name, value in by_child.items() if name.startswith("sim/"))
+    mine = os.times()
+    return simulators, sum(by_child.values()) + mine.user + mine.system

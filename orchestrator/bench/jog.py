@@ -1,0 +1,170 @@
+"""How soon an axis slows down when a key is let go, when the panel dies, and how soon it begins, on a live fleet.
+
+Everything is real but the controllers: the panel is a process on a terminal, the bus is Zenoh, the controllers are
+simulated on TCP. What happened to the axis is told by the simulator's own log.
+"""
+
+import asyncio
+import contextlib
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from orchestrator.bench.fleet import Steps, measured_fleet, run_steps, until
+from orchestrator.bench.spread import Noise, Spread, spread
+from orchestrator.bench.truth import Truth
+from orchestrator.client import Tutti
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.live import LiveFleet
+from orchestrator.runtime.terminal_process import TerminalProcess
+
+AXIS = "gantry.x"
+MIDDLE = 150.0  # mm: presses move a few mm to and fro around it
+SPEED = 10.0  # mm/s: what the panel begins with
+RELEASE_P99_MS = 60.0
+KILLED_MAX_MS = 300.0
+HELD_S = (0.15, 0.5)  # shorter than what a terminal may be silent for
+REPEAT_S, REPEAT_DELAY_S = 1 / 30, 0.3
+SEED = 11
+
+
+class JogFigures(NamedTuple):
+    """release: key let go → slowing; killed: `kill -9` of the panel → slowing; first_motion: key pressed → moving.
+
+    plain_release: the same on a terminal that only repeats, at 30 Hz. api_stop: `Hand.stop` in this process → slowing,
+    what remains without panel and terminal. noise: how late this process was woken meanwhile.
+    """
+
+    release: Spread
+    killed: Spread
+    first_motion: Spread
+    plain_release: Spread
+    api_stop: Spread
+    noise: Spread
+
+
+class _Rig:
+    """The fleet while it runs. `panel_code`: the panel's command line as a Python program."""
+
+    def __init__(self, live: LiveFleet, tutti: Tutti, panel_code: str) -> None:
+        self._live = live
+        self._code = panel_code
+        self._draw = Random(SEED)
+        self._arrow = "left"
+        self.tutti = tutti
+        self.truth = Truth(live.state / "truth" / "gantry.jsonl")
+
+    async def panel(self, releases: bool) -> TerminalProcess:
+        """A new panel, ready, with nobody holding the axis."""
+        await until(self._free, "the axis is free")
+        arguments = ["axis", "jog", AXIS, "--connect", self._live.connect]
+        panel = TerminalProcess(self._code, arguments, releases)
+
+        async def ready() -> bool:
+            return "motor" in panel.screen and " on " in panel.screen
+
+        await until(ready, "the panel is ready")
+        return panel
+
+    def turn(self) -> str:
+        """The other arrow."""
+        self._arrow = "right" if self._arrow == "left" else "left"
+        return self._arrow
+
+    async def hold(self) -> None:
+        """Hold a key for a while."""
+        await asyncio.sleep(self._draw.uniform(*HELD_S))
+
+    def within(self, duration_s: float) -> float:
+        """A part of `duration_s`, in s."""
+        return self._draw.uniform(0, duration_s)
+
+    async def _free(self) -> bool:
+        return not (await self.tutti.status())["gantry"].leases
+
+
+async def bench_jog(fleet: Fleet, state: Path, panel_code: str, presses: int, kills: int) -> JogFigures:
+    """Run it all. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+        here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
+        await run_steps(tutti, [*here, {"do": "move", "to": {AXIS: MIDDLE}}])
+        rig = _Rig(live, tutti, panel_code)
+        first_ns, release_ns = await _presses(rig, presses)
+        killed_ns = [await _kill(rig) for _ in range(kills)]
+        plain_ns = await _plain(rig, max(1, presses // 4))  # each takes two seconds
+        api_ns = await _api(rig, presses)
+        return JogFigures(
+            release=spread(release_ns, p99_ms=RELEASE_P99_MS),
+            killed=spread(killed_ns, max_ms=KILLED_MAX_MS),
+            first_motion=spread(first_ns),
+            plain_release=spread(plain_ns),
+            api_stop=spread(api_ns),
+            noise=noise.spread(),
+        )
+
+
+async def _presses(rig: _Rig, count: int) -> tuple[list[int], list[int]]:
+    """Press to moving, and let go to slowing, for `count` presses on one panel."""
+    first_ns: list[int] = []
+    release_ns: list[int] = []
+    with contextlib.closing(await rig.panel(releases=True)) as panel:
+        for _ in range(count):
+            arrow = rig.turn()
+            pressed_ns = panel.press(arrow)
+            first_ns.append(await rig.truth.after("start", pressed_ns) - pressed_ns)
+            await rig.hold()
+            let_go_ns = panel.release(arrow)
+            release_ns.append(await rig.truth.after("slowing", let_go_ns) - let_go_ns)
+            await rig.truth.after("end", let_go_ns)
+    return first_ns, release_ns
+
+
+async def _kill(rig: _Rig) -> int:
+    with contextlib.closing(await rig.panel(releases=True)) as panel:
+        pressed_ns = panel.press(rig.turn())
+        await rig.truth.after("start", pressed_ns)
+        await rig.hold()
+        killed_ns = panel.kill()
+        slowing_ns = await rig.truth.after("slowing", killed_ns)
+        await rig.truth.after("end", killed_ns)
+    return slowing_ns - killed_ns
+
+
+async def _plain(rig: _Rig, count: int) -> list[int]:
+    """The same with autorepeat: the key is let go somewhere between two repeats, and nobody says so."""
+    durations_ns: list[int] = []
+    with contextlib.closing(await rig.panel(releases=False)) as panel:
+        for _ in range(count):
+            arrow = rig.turn()
+            pressed_ns = panel.press(arrow)
+            await asyncio.sleep(REPEAT_DELAY_S)
+            repeated_ns = panel.repeat(arrow)
+            await rig.truth.after("start", max(pressed_ns, repeated_ns - 50 * NS_PER_MS))
+            for _ in range(8):
+                await asyncio.sleep(REPEAT_S)
+                panel.repeat(arrow)
+            await asyncio.sleep(rig.within(REPEAT_S))
+            let_go_ns = raw_ns()
+            durations_ns.append(await rig.truth.after("slowing", let_go_ns) - let_go_ns)
+            await rig.truth.after("end", let_go_ns)
+            # Otherwise the next press would be one more repeat.
+            await asyncio.sleep(1.0)
+    return durations_ns
+
+
+async def _api(rig: _Rig, count: int) -> list[int]:
+    durations_ns: list[int] = []
+    async with rig.tutti.by_hand([AXIS], what="benchmark") as hand:
+        for _ in range(count):
+            velocity = SPEED if rig.turn() == "right" else -SPEED
+            asked_ns = raw_ns()
+            await hand.jog({AXIS: velocity})
+            await rig.truth.after("start", asked_ns)
+            await hand.renew()
+            stopped_ns = raw_ns()
+            await hand.stop()
+            durations_ns.append(await rig.truth.after("slowing", stopped_ns) - stopped_ns)
+            await rig.truth.after("end", stopped_ns)
+    return durations_ns

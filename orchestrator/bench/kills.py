@@ -1,0 +1,167 @@
+"""`kill -9` and SIGSTOP of every process of a live fleet at random moments: nothing is lost, doubled, or moves on.
+
+The demo fleet with a coordinator that stands by, with real Zenoh and sockets. In each round a job moves both of its
+controllers to and fro while one process is killed, or stopped and woken later; the simulators' logs say what moved
+when. Afterwards the fleet must work again by itself: the next round begins with homing.
+"""
+
+import asyncio
+import contextlib
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from orchestrator.bench.fleet import measured_fleet
+from orchestrator.bench.spread import Noise, Spread, spread
+from orchestrator.bench.truth import NothingHappened, Truth
+from orchestrator.client import Job, Refused, Tutti
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import ENDED
+from orchestrator.runtime.live import STANDBY, LiveFleet
+
+SEED = 23
+TARGETS = ("router", "coordinator", "standby", "guardian", "host")
+SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
+# Declared: adapters stop by themselves after 0.5 s without a coordinator, a guardian after 0.3 s without its host; the
+# ramps of the job take 0.3 s. What this machine adds by waking processes late is measured beside it.
+DECLARED_S = 0.8
+MOMENT_S = (0.0, 2.5)
+ASLEEP_S = 2.5
+AGAIN_S = 60.0
+LOOK_S = 0.2
+MOVES = 3
+
+
+class KillFigures(NamedTuple):
+    """rest: fault → the last axis at rest, in rounds that it ended. back: fault → the fleet has done a job again. lost,
+    doubled: jobs. moved_on: rounds in which an axis moved for longer than declared. ends: of the jobs, by state."""
+
+    rounds: int
+    rest: Spread
+    back: Spread
+    lost: int
+    doubled: int
+    moved_on: int
+    ends: dict[str, int]
+    noise: Spread
+
+
+class _Seen(NamedTuple):
+    """One round. rest_ns: None when the job was done all the same."""
+
+    state: str
+    rest_ns: int | None
+    back_ns: int
+    lost: bool
+    doubled: bool
+
+
+async def bench_kills(fleet: Fleet, state: Path, rounds: int, told: Callable[[str], None]) -> KillFigures:
+    """`rounds` faults. Raises `UpFailed`, `NothingHappened`."""
+    async with measured_fleet(fleet, state, standby=True) as (live, tutti), Noise() as noise:
+        rig = _Rig(live, tutti, Random(SEED))
+        await rig.work_again()
+        seen: list[_Seen] = []
+        for k in range(rounds):
+            target, number = TARGETS[k % len(TARGETS)], SIGNALS[k // len(TARGETS) % len(SIGNALS)]
+            seen.append(await rig.round(target, number))
+            rest_ns = seen[-1].rest_ns
+            rest = "" if rest_ns is None else f", at rest after {rest_ns / 1e6:.0f} ms"
+            told(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}{rest}")
+        rests = [each.rest_ns for each in seen if each.rest_ns is not None]
+        return KillFigures(
+            rounds=len(seen),
+            rest=spread(rests or [0]),
+            back=spread([each.back_ns for each in seen]),
+            lost=sum(each.lost for each in seen),
+            doubled=sum(each.doubled for each in seen),
+            moved_on=sum(rest_ns > (DECLARED_S * 1e9 + noise.spread().max_ms * 1e6) for rest_ns in rests),
+            ends={state: sum(each.state == state for each in seen) for state in sorted({e.state for e in seen})},
+            noise=noise.spread(),
+        )
+
+
+class _Rig:
+    """The fleet while it runs."""
+
+    def __init__(self, live: LiveFleet, tutti: Tutti, draw: Random) -> None:
+        self._live = live
+        self._tutti = tutti
+        self._draw = draw
+        self._truths = {name: Truth(live.state / "truth" / f"{name}.jsonl") for name in live.fleet.controllers}
+        self._prepare = _job(
+            "prepare", [{"do": "enable", "axes": list(live.fleet.controllers)}, {"do": "home"}, _move(5)]
+        )
+
+    async def round(self, target: str, number: signal.Signals) -> _Seen:
+        """One job and one fault."""
+        key = self._tutti.new_id()
+        steps = [_move(60 if k % 2 == 0 else 5) for k in range(MOVES)]
+        began_ns = raw_ns()
+        job = await self._tutti.submit(_job("work", steps), client_key=key)
+        await asyncio.sleep(self._draw.uniform(*MOMENT_S))
+        pid, broken_ns = self._pid(target), raw_ns()
+        os.kill(pid, number)
+        if number is signal.SIGSTOP:
+            await asyncio.sleep(ASLEEP_S)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        state = await self._end(job)
+        ends = [end_ns for truth in self._truths.values() for end_ns in truth.ends_after(broken_ns)]
+        starts = max(truth.count("start", began_ns) for truth in self._truths.values())
+        await self.work_again()
+        back_ns = raw_ns() - broken_ns
+        # Submitted again with its key, it must be the same job, and run no more.
+        same = await self._tutti.submit(_job("work", steps), client_key=key)
+        rest_ns = max(ends, default=broken_ns) - broken_ns if state != "done" else None
+        return _Seen(state, rest_ns, back_ns, lost=state == "lost", doubled=same != job or starts > 2 * MOVES)
+
+    async def work_again(self) -> None:
+        """Wait until a job over all axes is done."""
+        why = ""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(AGAIN_S):
+                while True:
+                    try:
+                        report = await self._tutti.wait(await self._tutti.submit(self._prepare), poll_s=LOOK_S)
+                        if report.state == "done":
+                            return
+                        why = report.reason
+                    except Refused as error:
+                        why = error.refusal.text
+                    await asyncio.sleep(LOOK_S)
+        raise NothingHappened(f"the fleet does not work again within {AGAIN_S:g} s: {why}")
+
+    async def _end(self, job: str) -> str:
+        """The state that the job came to; `lost` when the journal does not know it."""
+        try:
+            async with asyncio.timeout(AGAIN_S):
+                report = await self._tutti.wait(job, poll_s=LOOK_S)
+        except Refused:
+            return "lost"
+        except TimeoutError:
+            raise NothingHappened(f"job {job} has no end after {AGAIN_S:g} s") from None
+        return report.state if report.state in ENDED else "lost"
+
+    def _pid(self, target: str) -> int:
+        children = self._live.children
+        host = next(name for name in children if name.startswith("host/"))
+        if target == "host":
+            guardian = children[host].pid
+            below = Path(f"/proc/{guardian}/task/{guardian}/children").read_text(encoding="utf-8").split()
+            # It may be between two hosts; then it is the guardian itself that is hit.
+            return int(below[0]) if below else guardian
+        return children[{"guardian": host, "standby": STANDBY}.get(target, target)].pid
+
+
+def _move(place: float) -> dict[str, object]:
+    return {"do": "move", "to": {"gantry.x": place, "stage.u": place / 10}, "speed": 0.3}
+
+
+def _job(name: str, steps: list[dict[str, object]]) -> Job:
+    plain = {"schema": "tutti.job/1", "name": name, "max_start_skew": "50 ms", "steps": steps}
+    return Job.model_validate(plain)

@@ -1,0 +1,355 @@
+"""How well a make's adapter turns plans into what its controller executes, by the simulator's truth, in virtual time.
+
+Plans go through the real driver: lowered, armed, let go, and watched, on a simulated controller with a crystal of its
+own. To add a make, add its `Subject`.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from contextvars import copy_context
+from dataclasses import dataclass
+from functools import partial
+from math import ceil
+from random import Random
+from typing import Any, NamedTuple
+
+from adapters.contract import Driver, Lowered, Setup
+from adapters.host.host import find_make
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.bench.lowering_ppsmc import bench_ppsmc
+from orchestrator.bench.lowering_steppers import STEPPERS, bench_stepper
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.estimator import TickMapping
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.core.controller import Motion, SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+SEED = 11
+CRYSTALS_PPM = (-100.0, -37.0, 0.0, 55.0, 100.0)
+CONTOUR_S = 5.0
+VELOCITY, ACCELERATION, JERK = 200_000.0, 1_000_000.0, 10_000_000.0  # counts/s, counts/s², counts/s³
+FAST = "20k-200k"
+CRUISES = {  # counts/s, slowest and fastest; and of how many moves one is made with it
+    FAST: (20_000.0, 200_000.0, 1),
+    "2k-20k": (2_000.0, 20_000.0, 10),
+    "200-2k": (200.0, 2_000.0, 10),
+    "20-200": (20.0, 200.0, 10),
+}
+SIMULATED = 25  # of so many lowered trapezoids one is executed
+LEAST_SIMULATED = 20
+CONTOURS = 1000  # for so many trapezoids there is one contour with each crystal
+ASKED_RECORD, ASKED_BETWEEN, ASKED_P99_MS = 1.0, 1.0, 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What the benchmark must know of a make. config: a controller of four axes a, b, c, d with a scale of 1.
+
+    sample_ns: of its own clock. record_samples: of a lowered contour; None: the make has none. way: of a lowered step,
+    in a word.
+    """
+
+    config: Mapping[str, Any]
+    port: str
+    wire: WireModel
+    sample_ns: float
+    record_samples: Callable[[Lowered], int] | None
+    way: Callable[[Lowered], str]
+
+
+def _yaskawa(adapter: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
+    axis = {"unit": "counts", "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}}
+    axes = {name: {**axis, "motors": [motor]} for name, motor in zip("abcd", "XYZW", strict=True)}
+    return {"adapter": adapter, "link": dict(link), "axes": axes}
+
+
+def _records(lowered: Lowered) -> int:
+    words = lowered.commands[0].split()
+    return int(words[words.index("of") + 1])
+
+
+def _way(lowered: Lowered) -> str:
+    return "contour" if lowered.commands[0].startswith("contour") else "registers"
+
+
+SUBJECTS = {
+    "smc4000": Subject(
+        config=_yaskawa("smc4000", {"kind": "tcp", "host": "10.0.0.1", "port": 23}),
+        port="tcp",
+        wire=LAN,
+        sample_ns=976_562.5,
+        record_samples=_records,
+        way=_way,
+    ),
+    "smc2000": Subject(
+        config=_yaskawa("smc2000", {"kind": "serial", "device": "/dev/ttyUSB0", "baud": 19200}),
+        port="serial",
+        wire=serial_wire(19200),
+        sample_ns=976_562.5,
+        record_samples=_records,
+        way=_way,
+    ),
+}
+
+
+OTHERS: dict[str, Callable[[int, int], LoweringFigures]] = {
+    **{make: partial(bench_stepper, make) for make in STEPPERS},
+    "ppsmc": bench_ppsmc,
+}
+"""Makes with a benchmark of their own, by number of moves and seed."""
+MAKES = (*SUBJECTS, *OTHERS)
+
+
+def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
+    """Lower `moves` trapezoids, execute a seeded part of them and some contours. make: one of `MAKES`."""
+    if make in OTHERS:
+        return OTHERS[make](moves, seed)
+    subject = SUBJECTS[make]
+    at_record: list[float] = []
+    between: list[float] = []
+    beyond: list[float] = []
+    each = max(1, moves // CONTOURS)
+    for number, ppm in enumerate(CRYSTALS_PPM if subject.record_samples is not None else ()):
+        for records, rest, sag in _contours(subject, ppm, each, seed + number):
+            at_record += records
+            between += rest
+            beyond += [distance - sag for distance in rest]
+    figures = (
+        []
+        if subject.record_samples is None
+        else [
+            figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
+            figure("contour, between them", between, "counts"),
+            figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
+        ]
+    )
+    chosen: list[Chosen] = []
+    for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
+        found = _trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
+        # What is slower is shown beside it: how well that can be done depends on the make's steps of speed.
+        bound, keeps = ("p99<0.2", _keeps_duration) if cruise == FAST else ("", None)
+        figures += [
+            figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
+            figure(f"{cruise}, real-lowered", found.simulated_samples, "samples", "max<1", lambda f: f.max < 1.0),
+            figure(f"{cruise}, real-planned", found.planned_ms, "ms"),
+        ]
+        chosen.append(Chosen(cruise, found.ways))
+    return LoweringFigures(make, moves, figures, chosen)
+
+
+def _keeps_duration(found: Figure) -> bool:
+    return found.p99 < ASKED_P99_MS
+
+
+# A controller on a wire
+
+
+@dataclass(slots=True)
+class _World:
+    clock: VirtualClock
+    controller: SimulatedController
+    driver: Driver
+    config: Controller
+    crystal: Oscillator
+    built_ns: int
+    sample_ns: float
+
+    async def ready(self) -> None:
+        """Connected, switched on, and its clock known as well as it will be."""
+        await self.driver.connect()
+        await self.driver.configure()
+        await self.driver.enable(list(self.config.axes), True)
+        for _ in range(300):
+            await self.driver.poll()
+            await sleep_ns(self.clock, 100 * NS_PER_MS)
+
+    def mapping(self) -> TickMapping:
+        mapping = self.driver.mapping()
+        if mapping is None:
+            raise RuntimeError("the controller has no clock that is known")
+        return mapping
+
+    def motor(self, axis: str) -> str:
+        return self.config.axes[axis].motors[0]
+
+    # What the simulator's own crystal says
+
+    def sample(self, true_ns: int) -> int:
+        """The sample that begins at `true_ns`."""
+        elapsed_ns = self.crystal.device_ns(true_ns) - self.crystal.device_ns(self.built_ns)
+        return round(elapsed_ns / self.sample_ns)
+
+    def true_ns(self, sample: int) -> int:
+        return self.crystal.true_ns(self.crystal.device_ns(self.built_ns) + ceil(sample * self.sample_ns))
+
+
+def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]) -> Any:
+    """Run `main` with a driver before a simulated controller."""
+
+    async def run(clock: VirtualClock) -> Any:
+        config = Controller.model_validate(subject.config)
+        make = find_make(config.adapter)
+        crystal = Oscillator(Random(seed).randrange(10**9), ppm)
+        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=50 * NS_PER_US)
+        built_ns = clock.now_ns()
+        controller = simulator(config.adapter).build(clock, {}, oscillator=crystal, timing=timing, seed=seed)
+        wire = MemoryWire(clock, subject.wire, controller, subject.port, "bench", copy_context(), seed)
+        options = make.options.model_validate(config.options)
+        driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
+        world = _World(clock, controller, driver, config, crystal, built_ns, subject.sample_ns)
+        await world.ready()
+        return await main(world)
+
+    return run_virtual(run)
+
+
+async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowered, TickMapping, int]:
+    """Arm a step and let it go; with the mapping that it was frozen with, and T0."""
+    driver = world.driver
+    await driver.poll()
+    mapping = world.mapping()
+    lowered = driver.lower(profiles, StartWay(), mapping)
+    t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
+    await driver.arm(lowered, t0_ns, mapping)
+    await driver.verify()
+    await driver.go()
+    return lowered, mapping, t0_ns
+
+
+async def _finish(world: _World) -> None:
+    """Watch the step to its end, as an adapter does."""
+    await world.driver.started()
+    outcome = await world.driver.outcome()
+    if outcome.state != "done":
+        raise RuntimeError(f"a move of the benchmark ended otherwise: {outcome.reason}")
+
+
+# Contours
+
+
+def _contours(subject: Subject, ppm: float, count: int, seed: int) -> list[tuple[list[float], list[float], float]]:
+    """For each of `count` moves: distances to the plan at the record instants and at the samples between, counts, and
+    a·h²/8."""
+
+    async def main(world: _World) -> list[tuple[list[float], list[float], float]]:
+        draw = Random(seed)
+        found: list[tuple[list[float], list[float], float]] = []
+        at = dict.fromkeys(world.config.axes, 0)
+        for _ in range(count):
+            profiles = _jerk_limited(at, draw)
+            found.append(await _follow(world, subject, profiles))
+            at = {axis: profile.end_counts for axis, profile in profiles.items()}
+        return found
+
+    return _with(subject, ppm, seed, main)
+
+
+def _jerk_limited(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
+    """A step of some `CONTOUR_S`, one axis at its limits."""
+    longest = VELOCITY * (CONTOUR_S - VELOCITY / ACCELERATION - ACCELERATION / JERK)
+    first = draw.choice(list(at))
+    moves = [
+        AxisMove(
+            axis,
+            start,
+            start + draw.choice((-1, 1)) * round(longest * (1.0 if axis == first else draw.uniform(0.01, 1.0))),
+            VELOCITY,
+            ACCELERATION,
+            JERK,
+            order=3,
+        )
+        for axis, start in at.items()
+    ]
+    return dict(plan_step(moves).profiles)
+
+
+async def _follow(
+    world: _World, subject: Subject, profiles: Mapping[str, Profile]
+) -> tuple[list[float], list[float], float]:
+    lowered, mapping, t0_ns = await _start(world, profiles)
+    before = len(world.controller.motions)
+    await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
+    begun = world.sample(world.clock.now_ns())
+    assert subject.record_samples is not None
+    record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
+    watching = asyncio.get_running_loop().create_task(_finish(world))
+    seen: list[tuple[int, dict[str, float]]] = []
+    # From some samples before the start, which is not known yet, to some after the end.
+    for sample in range(begun + 1, begun + samples + 40):
+        await sleep_until_ns(world.clock, world.true_ns(sample))
+        seen.append((sample, {axis: world.controller.position(world.motor(axis)) for axis in profiles}))
+    await watching
+    start = world.sample(min(motion.start_ns for motion in world.controller.motions[before:]))
+    plans = {axis: (profile.start_counts, profile.evaluator()) for axis, profile in profiles.items()}
+    at_record: list[float] = []
+    between: list[float] = []
+    for sample, positions in seen:
+        time_s = (mapping.host_ns(sample) - t0_ns) * 1e-9
+        for axis, (origin, plan) in plans.items():
+            distance = abs(positions[axis] - origin - plan(time_s).position)
+            (between if (sample - start) % record else at_record).append(distance)
+    steepest = max(profile.peak_acceleration for profile in profiles.values())
+    return at_record, between, steepest * (record * lowered.tick_ns * 1e-9) ** 2 / 8
+
+
+# Trapezoids
+
+
+class _Trapezoids(NamedTuple):
+    """Distances of durations: lowered and simulated from planned in ms, simulated from lowered in samples."""
+
+    lowered_ms: list[float]
+    simulated_samples: list[float]
+    planned_ms: list[float]
+    ways: dict[str, int]
+
+
+def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int) -> _Trapezoids:
+    """`count` moves of one axis with cruises from `low` to `high` counts/s."""
+
+    async def main(world: _World) -> _Trapezoids:
+        draw = Random(seed)
+        found = _Trapezoids([], [], [], {})
+        executed = set(draw.sample(range(count), min(count, max(LEAST_SIMULATED, count // SIMULATED))))
+        at = 0
+        for number in range(count):
+            profile = _trapezoid(at, low, high, draw)
+            lowered = world.driver.lower({"a": profile}, StartWay(), world.mapping())
+            way = subject.way(lowered)
+            found.ways[way] = found.ways.get(way, 0) + 1
+            found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)
+            if number not in executed:
+                continue
+            motion = await _execute(world, profile)
+            at = profile.end_counts
+            if motion.end_ns is None:
+                raise RuntimeError("a move of the benchmark has no end")
+            samples = world.sample(motion.end_ns) - world.sample(motion.start_ns)
+            predicted = lowered.durations_s["a"] * 1e9 / lowered.tick_ns
+            found.simulated_samples.append(abs(samples - predicted))
+            found.planned_ms.append(abs((motion.end_ns - motion.start_ns) * 1e-6 - profile.duration_s * 1e3))
+        return found
+
+    return _with(subject, Random(seed).uniform(-100.0, 100.0), seed, main)
+
+
+async def _execute(world: _World, profile: Profile) -> Motion:
+    await _start(world, {"a": profile})
+    await _finish(world)
+    return world.controller.motions[-1]
+
+
+def _trapezoid(at: int, low: float, high: float, draw: Random) -> Profile:
+    """A cruise between `low` and `high`, ramps of 0.05 to 1 s, up to 8 s at speed; not back and forth by chance."""
+    velocity = low * (high / low) ** draw.random()
+    acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION)
+    way = max(1, round(velocity * (velocity / acceleration + draw.uniform(0.0, 8.0))))
+    target = at - way if at > 0 else at + way
+    return plan_step([AxisMove("a", at, target, velocity, acceleration)]).profiles["a"]

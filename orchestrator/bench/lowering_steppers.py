@@ -1,0 +1,257 @@
+"""Random feasible moves of steppers and of one drive: as planned, as lowered, and a seeded part of them as executed.
+
+Rates are whole steps/s and ramps whole steps or milliseconds, so that what a unit can do differs with the mean rate of
+a move; the figures are given for all moves together and by mean rate.
+"""
+
+from collections.abc import Callable, Mapping
+from contextvars import copy_context
+from dataclasses import dataclass
+from itertools import pairwise
+from random import Random
+from typing import Any, NamedTuple
+
+from adapters.contract import CannotDo, Driver, Setup
+from adapters.host.host import find_make
+from adapters.shrc203.fleetaxes import bounds
+from adapters.shrc203.trapezoid import fit
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.memory import MemoryWire, can_wire, serial_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import StartWay
+from orchestrator.model.profile import Profile
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.core.controller import SimulatedController, Timing
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+STEPS_LEAST, STEPS_MOST = 50, 300_000
+SLOWEST = 16.0  # steps/s, of the mean rate
+DURATION_MOST_S = 120.0
+CLASSES = (16.0, 33.0, 100.0, 1000.0)  # steps/s, of the mean rate, up to the quickest
+SIMULATED = 25  # of so many lowered moves one is executed
+LEAST_SIMULATED = 20
+ASKED_P99_MS, ASKED_MAX_MS = 0.2, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Stepper:
+    """A make and its controller of one axis `a`. quickest, acceleration: in steps/s (²). begins: what a line of
+    `Lowered.commands` that is a motion begins with. port: of the simulated unit. alone: what the nearest move of one
+    command takes, in s, to compare with."""
+
+    make: str
+    link: Mapping[str, Any]
+    options: Mapping[str, Any]
+    simulate: Mapping[str, Any]
+    axis: Mapping[str, Any]
+    quickest: float
+    acceleration: float
+    begins: str
+    port: str = "serial"
+    alone: Callable[[Controller, Profile], float] | None = None
+
+
+def _one_trapezoid(config: Controller, profile: Profile) -> float:
+    way = abs(profile.end_counts - profile.start_counts)
+    shape = fit(way, profile.duration_s, profile.durations_s[0], bounds(config.axes["a"]))
+    assert shape is not None
+    return shape.duration_s
+
+
+STEPPERS = {
+    each.make: each
+    for each in (
+        Stepper(
+            "smc30",
+            {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"},
+            {},
+            {"checksum": True},
+            {
+                "unit": "counts",
+                "limits": {"velocity": 15_000, "acceleration": 200_000},
+                "start_rate": {"min": 16, "max": 1000},
+            },
+            15_000.0,
+            200_000.0,
+            "G",
+        ),
+        Stepper(
+            "shrc203",
+            {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
+            {"nm_per_pulse": 100},
+            {"divide": 20, "speed": [100, 20000, 100]},
+            {
+                "unit": "um",
+                "scale": 10,
+                "limits": {"velocity": 5_000, "acceleration": 50_000},
+                "start_rate": {"min": 0.1, "max": 500},
+            },
+            50_000.0,
+            500_000.0,
+            "MP",
+            alone=_one_trapezoid,
+        ),
+        Stepper(
+            "cia402",
+            {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": 1},
+            {},
+            {},
+            {"unit": "counts", "limits": {"velocity": 200_000, "acceleration": 1_000_000}},
+            200_000.0,
+            1_000_000.0,
+            "6040h",
+            "can",
+        ),
+    )
+}
+
+
+class _Found(NamedTuple):
+    """One move: its mean rate, steps/s; distances of durations in ms, executed only of a part, and by one command alone
+    where that is known; motor commands."""
+
+    rate: float
+    planned_s: float
+    lowered_ms: float
+    predicted_ms: float | None
+    planned_ms: float | None
+    alone_ms: float | None
+    commands: int
+
+
+def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
+    """Lower `moves` of one of `STEPPERS` and execute a part of them."""
+    subject = STEPPERS[make]
+    ppm = Random(seed).uniform(-100.0, 100.0)
+    refused = [0]
+    found: list[_Found] = run_virtual(lambda clock: _measure(clock, subject, moves, ppm, seed, refused))
+    executed = [each for each in found if each.predicted_ms is not None]
+    figures = [
+        figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=0.2", _keeps_p99),
+        figure(
+            "all, real-lowered",
+            [each.predicted_ms for each in executed if each.predicted_ms is not None],
+            "ms",
+            "max<=0.1",
+            lambda f: f.max <= ASKED_MAX_MS,
+        ),
+        figure("all, real-planned", [each.planned_ms for each in executed if each.planned_ms is not None], "ms"),
+    ]
+    if subject.alone is not None:
+        alone = [each.alone_ms for each in found if each.alone_ms is not None]
+        figures.append(figure("all, lowered-planned by one command", alone, "ms"))
+    chosen: list[Chosen] = [Chosen("refused", {"slower than the unit can": refused[0]})]
+    # Where a step of the cruise's speed changes the duration by more than the longest ramp can make good, it shows.
+    within = [each.lowered_ms for each in found if each.planned_s < each.rate]
+    if within:
+        figures.append(figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _keeps_p99))
+    for low, high in pairwise((*CLASSES, subject.quickest)):
+        of_class = [each for each in found if low <= each.rate < high]
+        name = f"{low:g}-{high:g}"
+        if of_class:
+            figures.append(figure(f"{name}, lowered-planned", [each.lowered_ms for each in of_class], "ms"))
+        split = sum(each.commands > 1 for each in of_class)
+        chosen.append(Chosen(name, {"one command": len(of_class) - split, "several commands": split}))
+    return LoweringFigures(make, moves, figures, chosen)
+
+
+def _keeps_p99(found: Figure) -> bool:
+    return found.p99 <= ASKED_P99_MS
+
+
+async def _measure(
+    clock: VirtualClock, subject: Stepper, moves: int, ppm: float, seed: int, refused: list[int]
+) -> list[_Found]:
+    config = Controller.model_validate(
+        {
+            "adapter": subject.make,
+            "link": subject.link,
+            # Durations are compared in the unit's own time: nothing is to be learned of its crystal.
+            "options": {**subject.options, "clock_ppm": 0},
+            "axes": {"a": {"motors": ["1"], **subject.axis}},
+        }
+    )
+    make = find_make(subject.make)
+    crystal = Oscillator(Random(seed).randrange(10**9), ppm)
+    timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+    unit = simulator(subject.make).build(clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed)
+    model = serial_wire(subject.link["baud"]) if "baud" in subject.link else can_wire()
+    wire = MemoryWire(clock, model, unit, subject.port, "bench", copy_context(), seed)
+    options = make.options.model_validate(config.options)
+    driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
+    await driver.connect()
+    await driver.configure()
+    await driver.enable(["a"], True)
+    draw = Random(seed)
+    executed = set(draw.sample(range(moves), min(moves, max(LEAST_SIMULATED, moves // SIMULATED))))
+    at, found = 0, list[_Found]()
+    while len(found) < moves:
+        profile = _feasible(subject, at, draw)
+        if profile is None:
+            continue
+        try:
+            lowered = driver.lower({"a": profile}, StartWay(), None)
+        except CannotDo:
+            # Slower than the unit can: not feasible.
+            refused[0] += 1
+            continue
+        predicted_s = lowered.durations_s["a"]
+        commands = sum(line.startswith(subject.begins) for line in lowered.commands)
+        rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
+        predicted_ms = planned_ms = alone_ms = None
+        if subject.alone is not None:
+            alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
+        if len(found) in executed:
+            start_ns, end_ns = await _executed(clock, driver, unit, profile)
+            at = profile.end_counts
+            device_s = (crystal.device_ns(end_ns) - crystal.device_ns(start_ns)) * 1e-9
+            predicted_ms = abs(device_s - predicted_s) * 1e3
+            planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
+        found.append(
+            _Found(
+                rate,
+                profile.duration_s,
+                abs(predicted_s - profile.duration_s) * 1e3,
+                predicted_ms,
+                planned_ms,
+                alone_ms,
+                commands,
+            )
+        )
+    await driver.close()
+    return found
+
+
+def _feasible(subject: Stepper, at: int, draw: Random) -> Profile | None:
+    """A move from `at` that is slower than the quickest by 1.02 to 3 times; None when this draw gives none."""
+    velocity = SLOWEST * (subject.quickest / SLOWEST) ** draw.random()
+    acceleration = min(velocity / draw.uniform(0.05, 1.0), subject.acceleration)
+    steps = round(STEPS_LEAST * (STEPS_MOST / STEPS_LEAST) ** draw.random())
+    if steps / velocity > DURATION_MOST_S:
+        return None
+    target = at - steps if at > 0 else at + steps
+    plan = plan_step([AxisMove("a", at, target, velocity, acceleration)])
+    longer = plan.stretched(plan.duration_s * draw.uniform(1.02, 3.0))
+    mean = steps / longer.duration_s
+    return longer.profiles["a"] if mean >= SLOWEST and longer.duration_s <= DURATION_MOST_S else None
+
+
+async def _executed(clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile) -> tuple[int, int]:
+    """The true instants of the motion's start and end."""
+    before = len(unit.motions)
+    lowered = driver.lower({"a": profile}, StartWay(), None)
+    t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS
+    await driver.arm(lowered, t0_ns, None)
+    await driver.verify()
+    await driver.go()
+    await driver.started()
+    outcome = await driver.outcome()
+    end_ns = unit.motions[-1].end_ns
+    if outcome.state != "done" or end_ns is None:
+        raise RuntimeError(f"a move of the benchmark ended otherwise: {outcome.reason}")
+    await sleep_ns(clock, 10 * NS_PER_MS)
+    return unit.motions[before].start_ns, end_ns

@@ -1,0 +1,90 @@
+"""How soon the last axis of a step slows down when a permit is lost, on a live fleet of eight controllers.
+
+An input of one controller changes; its adapter has to see that, the coordinator to hear of it, and all adapters to
+stop their controllers, which are simulated on TCP and tell in their logs when they did.
+"""
+
+import asyncio
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from orchestrator.bench.fleet import measured_fleet, run_steps, submit, until
+from orchestrator.bench.spread import Noise, Spread, spread
+from orchestrator.bench.truth import Truth
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.fleet import Controller, Fleet, Permit, TcpLink
+
+CONTROLLERS = 8
+PERMIT = "door-closed"
+MIDDLE, DISTANCE = 150.0, 100.0  # mm: a step to and fro, 10 s long at its speed, of which hardly any is moved
+SPEED = 0.05
+BEYOND_POLL_MS = 50.0
+MOVING_S = (0.3, 1.0)  # from the first motion to the loss, so that losses fall anywhere in a poll period
+SEED = 12
+
+
+class PermitFigures(NamedTuple):
+    """stopped: input changed → the last of all axes slows down. first: the same, the first of them.
+
+    poll_ms: how often a moving controller is read, `state.moving_hz` of the fleet file.
+    """
+
+    controllers: int
+    poll_ms: float
+    stopped: Spread
+    first: Spread
+    noise: Spread
+
+
+def fleet_of(gantry: Controller, count: int) -> Fleet:
+    """`count` controllers like `gantry` with the first of its axes, and a permit on an input of the first one."""
+    axis, input_ = next(iter(gantry.axes)), next(iter(gantry.inputs))
+    controllers = {
+        f"g{k}": gantry.model_copy(
+            update={"link": TcpLink(host="127.0.0.1", port=k), "axes": {axis: gantry.axes[axis]}}
+        )
+        for k in range(1, count + 1)
+    }
+    permits = {PERMIT: Permit(input=f"g1.{input_}", value=False)}
+    return Fleet(schema="tutti.fleet/1", fleet="permit", controllers=controllers, permits=permits)
+
+
+async def bench_permit(gantry: Controller, state: Path, rounds: int) -> PermitFigures:
+    """Lose the permit `rounds` times in a slow step over all axes. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    fleet, draw = fleet_of(gantry, CONTROLLERS), Random(SEED)
+    number = next(iter(gantry.inputs.values())).number
+    first_ns: list[int] = []
+    last_ns: list[int] = []
+    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+        axes = list(fleet.controllers)
+        middle = dict.fromkeys(fleet.axis_names, MIDDLE)
+        await run_steps(tutti, [{"do": "enable", "axes": axes}, {"do": "home"}, {"do": "move", "to": middle}])
+        truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in axes]
+        for k in range(rounds):
+            began_ns = raw_ns()
+            by = dict.fromkeys(fleet.axis_names, -DISTANCE if k % 2 else DISTANCE)
+            job = await submit(tutti, [{"do": "move", "by": by, "speed": SPEED}])
+            await asyncio.gather(*(truth.after("start", began_ns) for truth in truths))
+            await asyncio.sleep(draw.uniform(*MOVING_S))
+            lost_ns = raw_ns()
+            live.tell_simulator("g1", input=(number, False))
+            slowing_ns = await asyncio.gather(*(truth.after("slowing", lost_ns) for truth in truths))
+            first_ns.append(min(slowing_ns) - lost_ns)
+            last_ns.append(max(slowing_ns) - lost_ns)
+            await tutti.wait(job, poll_s=0.1)
+            live.tell_simulator("g1", input=(number, True))
+
+            async def closed() -> bool:
+                states = (await tutti.status()).values()
+                return all(each.mode == "idle" and not any(each.inputs.values()) for each in states)
+
+            await until(closed, "the permit is there again")
+        poll_ms = 1000 / gantry.state.moving_hz
+        return PermitFigures(
+            controllers=len(axes),
+            poll_ms=poll_ms,
+            stopped=spread(last_ns, max_ms=BEYOND_POLL_MS + poll_ms),
+            first=spread(first_ns),
+            noise=noise.spread(),
+        )

@@ -1,0 +1,109 @@
+"""How often SMC-2000 on a serial line can be polled, against what the characters on the wire allow, in virtual time."""
+
+import asyncio
+from contextvars import copy_context
+from random import Random
+from typing import Any, NamedTuple
+
+from adapters.contract import Driver, Setup
+from adapters.host.host import find_make
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.fleet import Controller
+from sim.core.controller import Branch, Timing, build_line
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+MAKE = "smc2000"
+BAUD = 19200
+AXES = {"x": "X", "y": "Y"}
+FIRMWARE = Timing(decode_ns=500_000, spread_ns=50_000)
+SETTLE = 3  # polls before it is measured: the length of a reply is known from the last one
+# Units on the line, what a serial adapter keeps received bytes for (ms), and polls that are asked for at once of each.
+CASES = ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1))
+
+
+class PollRate(NamedTuple):
+    """polls_s: of all units together. characters: of a poll, both ways. wire_polls_s: what these allow, one after the
+    other. share: of that, per cent."""
+
+    units: int
+    hold_ms: int
+    at_once: int
+    polls_s: float
+    characters: float
+    wire_polls_s: float
+    share: float
+
+
+def bench_poll(seconds: float, seed: int = 1) -> list[PollRate]:
+    """Poll units of two axes for `seconds` of virtual time each."""
+    return [run_virtual(lambda clock, case=case: _measured(clock, *case, seconds, seed)) for case in CASES]
+
+
+async def _measured(clock: VirtualClock, units: int, hold_ms: int, at_once: int, seconds: float, seed: int) -> PollRate:
+    wire, drivers = _line(clock, units, hold_ms, seed)
+    for driver in drivers:
+        await driver.connect()
+        await driver.configure()
+        for _ in range(SETTLE):
+            await driver.poll()
+    characters = 0
+
+    def counted(data: bytes) -> bytes:
+        nonlocal characters
+        characters += len(data)
+        return data
+
+    wire.to_far = wire.to_near = counted
+    began_ns = clock.now_ns()
+    until_ns = began_ns + round(seconds * NS_PER_S)
+    polls = sum(await asyncio.gather(*(_poll(clock, each, until_ns) for each in drivers for _ in range(at_once))))
+    rate = polls * NS_PER_S / (clock.now_ns() - began_ns)
+    each = characters / polls
+    allowed = NS_PER_S / (each * wire.model.char_ns)
+    return PollRate(
+        units, hold_ms, at_once, round(rate, 2), round(each, 1), round(allowed, 2), round(100 * rate / allowed, 1)
+    )
+
+
+async def _poll(clock: Clock, driver: Driver, until_ns: int) -> int:
+    polls = 0
+    while clock.now_ns() < until_ns:
+        await driver.poll()
+        polls += 1
+    return polls
+
+
+def _line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[MemoryWire, list[Driver]]:
+    draw, make = Random(seed), find_make(MAKE)
+    addresses = [None] if count == 1 else list(range(count))
+    branches = {
+        f"unit{number}": Branch(
+            address,
+            {"axes": 2},
+            Oscillator(draw.randrange(100 * NS_PER_S), draw.uniform(-50, 50), 0.05, draw.getrandbits(32)),
+            FIRMWARE,
+            seed + number,
+        )
+        for number, address in enumerate(addresses)
+    }
+    line = build_line(simulator(MAKE), clock, branches)
+    model = serial_wire(BAUD, hold_ns=hold_ms * NS_PER_MS)
+    wire = MemoryWire(clock, model, line.far, "serial", "serial line", copy_context(), seed)
+    shared: dict[str, Any] = {}
+    drivers: list[Driver] = []
+    for name, branch in branches.items():
+        config = _config(branch.address)
+        options = make.options.model_validate({})
+        drivers.append(make.driver(Setup(name, config, options, clock, wire.open, LoopFirer(clock), shared)))
+    return wire, drivers
+
+
+def _config(address: int | None) -> Controller:
+    limits = {"velocity": 100, "acceleration": 1000}
+    axes = {name: {"motors": [motor], "unit": "mm", "scale": 1000, "limits": limits} for name, motor in AXES.items()}
+    link = {"kind": "serial", "device": "/dev/null", "baud": BAUD, "unit": address}
+    return Controller.model_validate({"adapter": MAKE, "link": link, "axes": axes})

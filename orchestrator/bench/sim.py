@@ -1,0 +1,183 @@
+"""How fast simulated SMC-4000 run in virtual time, all of them moving and read by their adapters, or idle.
+
+Everything of a fleet is there: simulators, wires, an adapter host, the bus, the coordinator. Moves are long, so that
+nothing but the steady state counts. Where the time goes is told by the profiler, in a window of its own, because it
+makes everything slower.
+"""
+
+import cProfile
+import time
+from math import inf
+from typing import NamedTuple
+
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.job import Job
+from orchestrator.runtime.virtual import VirtualFleet
+from sim.core.controller import SimulatedController
+
+MOTORS = "XYZW"
+POLL_HZ = 10.0
+TRAVEL_MM = 350.0
+SPEED = 0.005  # of 200 mm/s: six minutes of motion
+SETTLING_S = 2.0
+PARTS = {
+    "simulators": ("/sim/",),
+    "wires": ("/orchestrator/link/",),
+    "adapters": ("/adapters/",),
+    "bus": ("/orchestrator/bus/", "/orchestrator/model/", "/pydantic/", "/json/"),
+    "coordinator": ("/orchestrator/coordinator/",),
+    "loop": ("/orchestrator/clock/", "/asyncio/"),
+}
+"""Where the sources of each part are; states are made for the bus, and read from it, by the model."""
+OTHER = "other"
+
+
+WINDOWS = 5  # of which the fastest counts: other work on the machine only ever makes it slower
+
+
+class Window(NamedTuple):
+    """fleet_s: time that passed in the fleet. cpu_s: processor time of this machine for it.
+
+    speedup: how many times faster than real time. controller_s: seconds of one controller in a second of the processor.
+    """
+
+    fleet_s: float
+    cpu_s: float
+    speedup: float
+    controller_s: float
+
+
+class SimFigures(NamedTuple):
+    """idle: nothing moves. moving: all axes do, told by another host. step: they do in a step of a job, which adapters
+    read twice as often, and beside which a program guards each controller; None when it was not asked for.
+
+    shares: of the processor's time while they move, for each part of Tutti, in percent.
+    """
+
+    controllers: int
+    axes: int
+    poll_hz: float
+    idle: Window
+    moving: Window
+    step: Window | None
+    shares: dict[str, float]
+
+
+def fleet_of(count: int) -> Fleet:
+    """`count` controllers of four axes, all on one adapter host."""
+    axes = {
+        motor.lower(): {
+            "motors": [motor],
+            "unit": "mm",
+            "scale": 1000,
+            "soft_limits": {"min": -10, "max": 400},
+            "limits": {"velocity": 200, "acceleration": 1000},
+            "homing": {"speed": 20},
+        }
+        for motor in MOTORS
+    }
+    controllers = {
+        f"c{number}": {
+            "adapter": "smc4000",
+            "link": {"kind": "tcp", "host": "127.0.0.1", "port": number},
+            "axes": axes,
+            "state": {"moving_hz": POLL_HZ, "idle_hz": POLL_HZ},
+            "simulate": {
+                "options": {"home_edge": dict.fromkeys(MOTORS, -200), "index_every": dict.fromkeys(MOTORS, 2000)},
+                "drift_ppm": number % 100 - 50,
+            },
+        }
+        for number in range(1, count + 1)
+    }
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "bench", "controllers": controllers})
+
+
+def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int = 1) -> SimFigures:
+    """Measure `controllers` of them, for `seconds` of fleet time each. Raises `RuntimeError` when a job fails.
+
+    step: in a step of a job, too; homing all axes before takes much longer than the rest.
+    """
+    fleet = fleet_of(controllers)
+
+    async def measured(clock: VirtualClock) -> SimFigures:
+        virtual = VirtualFleet(fleet, clock, seed)
+        await virtual.start()
+        idle = await _timed(clock, controllers, seconds)
+        await _move(virtual)
+        moving = await _timed(clock, controllers, seconds)
+        shares = await _profiled(clock, seconds / WINDOWS)
+        in_step = None
+        if step:
+            await _stop(virtual)
+            await _step(virtual)
+            in_step = await _timed(clock, controllers, seconds)
+        return SimFigures(controllers, controllers * len(MOTORS), POLL_HZ, idle, moving, in_step, shares)
+
+    return run_virtual(measured)
+
+
+def _tell(virtual: VirtualFleet, text: bytes) -> None:
+    """Another host tells all controllers something, on a handle of its own."""
+
+    def tell(controller: SimulatedController) -> None:
+        line = controller.connect("tcp", lambda reply: None, lambda: None)
+        line.receive(text)
+
+    for name in virtual.controllers:
+        virtual.within(name, tell)
+
+
+async def _move(virtual: VirtualFleet) -> None:
+    _tell(virtual, b"SH\rSP*=1000\rPR*=300000\rBG\r")
+    await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+
+
+async def _stop(virtual: VirtualFleet) -> None:
+    _tell(virtual, b"ST\r")
+    await virtual.until(lambda states: all(state.mode == "idle" for state in states.values()))
+
+
+async def _step(virtual: VirtualFleet) -> None:
+    """Bring all axes into one long move of a job. Raises `RuntimeError` when a job does not do what it is for."""
+    client, names = virtual.client(), list(virtual.fleet.controllers)
+    prepare = Job.model_validate(
+        {"schema": "tutti.job/1", "name": "prepare", "steps": [{"do": "enable", "axes": names}, {"do": "home"}]}
+    )
+    report = await client.wait(await client.submit(prepare), poll_s=60.0)
+    if report.state != "done":
+        raise RuntimeError(f"the benchmark's job is {report.state}: {report.reason}")
+    move = {"do": "move", "to": dict.fromkeys(virtual.fleet.axis_names, TRAVEL_MM), "speed": SPEED}
+    await client.submit(Job.model_validate({"schema": "tutti.job/1", "name": "long move", "steps": [move]}))
+    await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
+
+
+async def _timed(clock: VirtualClock, controllers: int, seconds: float) -> Window:
+    await sleep_ns(clock, round(SETTLING_S * NS_PER_S))
+    part_s = seconds / WINDOWS
+    cpu_s = inf
+    for _ in range(WINDOWS):
+        began_s = time.process_time()
+        await sleep_ns(clock, round(part_s * NS_PER_S))
+        cpu_s = min(cpu_s, time.process_time() - began_s)
+    speedup = part_s / max(cpu_s, 1e-9)
+    return Window(round(part_s, 3), round(cpu_s, 4), round(speedup, 2), round(speedup * controllers, 1))
+
+
+async def _profiled(clock: VirtualClock, seconds: float) -> dict[str, float]:
+    """What share of the time is spent in the sources of each part; built-in functions count for their callers."""
+    profile = cProfile.Profile(builtins=False)
+    profile.enable()
+    await sleep_ns(clock, round(seconds * NS_PER_S))
+    profile.disable()
+    spent = dict.fromkeys((*PARTS, OTHER), 0.0)
+    for entry in profile.getstats():
+        code = entry.code
+        spent[OTHER if isinstance(code, str) else _part(code.co_filename)] += entry.inlinetime
+    total = sum(spent.values()) or 1.0
+    return {part: round(100 * share / total, 1) for part, share in spent.items()}
+
+
+def _part(source: str) -> str:
+    return next((part for part, places in PARTS.items() if any(place in source for place in places)), OTHER)

@@ -1,0 +1,195 @@
+"""Seven SMC30 on one bus at 9,600 baud: how far apart their motions begin, by the simulator's truth, in virtual time.
+
+Three ways: E to one after another as soon as the one before has answered; the drivers' starting lines in slots with the
+waiting in the programs; and a wired line that all wait for. Each unit has a crystal, times of its firmware and a phase
+of looking at its inputs of its own.
+"""
+
+import asyncio
+from contextvars import copy_context
+from dataclasses import dataclass
+from math import ceil
+from random import Random
+from typing import Any, NamedTuple
+
+from adapters.contract import Driver, Setup
+from adapters.host.host import find_make
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.link.base import Link
+from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.fleet import Controller
+from orchestrator.model.messages import LineWait, StartWay
+from orchestrator.plan.step import AxisMove, plan_step
+from sim.core.controller import Branch, SimulatedController, Timing, build_line
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+MAKE = "smc30"
+BAUD = 9600
+UNITS = range(1, 8)
+SPREAD = 0.1  # of the firmware's times about their usual ones
+CRYSTAL_PPM = 100.0
+DECODE_US, LINE_MS, START_MS, FILTER_MS, POLL_MS = 1000, 1.0, 1.0, 0.16, 1.0
+WAKE_US = 60  # how late a process is woken that writes at an instant, at most
+STEPS, VELOCITY, ACCELERATION = 400, 2000.0, 20_000.0
+ASKED_SLOTS_MS, ASKED_LINE_MS = 12.0, 1.3
+EDGE_NS = 20 * NS_PER_US  # how far about T0 the line's edge may be
+LINE_INPUT = 1
+
+
+class BusRow(NamedTuple):
+    """One way to start seven units: from the first motion to the last, in ms, over `n` starts. off: the furthest motion
+    from T0, in ms; None where no T0 is asked for."""
+
+    way: str
+    n: int
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+    off_ms: float | None
+    asked: str = ""
+    met: bool | None = None
+
+
+@dataclass(slots=True)
+class _Bus:
+    clock: VirtualClock
+    units: list[SimulatedController]
+    drivers: list[Driver]
+    wire: MemoryWire
+    draw: Random
+    at: int = 0
+
+    def starts(self, before: int) -> list[int]:
+        """When the motion after the first `before` began, of every unit."""
+        return [unit.motions[before].start_ns for unit in self.units]
+
+
+def bench_smc30_bus(rounds: int, seed: int = 11) -> list[BusRow]:
+    """`rounds` starts each way, with new units and a new line every time."""
+    one_by_one = [_run(seed + number, "E")[0] for number in range(rounds)]
+    slots = [_run(seed + number, "slots") for number in range(rounds)]
+    line = [_run(seed + number, "line") for number in range(rounds)]
+    return [
+        _row("E to one after another", [(skew, None) for skew in one_by_one], None),
+        _row("slots, compensated", slots, ASKED_SLOTS_MS),
+        _row("wired line", line, ASKED_LINE_MS),
+    ]
+
+
+def _row(way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]", asked_ms: float | None) -> BusRow:
+    skews = sorted(skew for skew, _ in found)
+    p50, p99 = (skews[ceil(share * len(skews)) - 1] for share in (0.5, 0.99))
+    offs = [off for _, off in found if off is not None]
+    row = BusRow(way, len(skews), round(p50, 3), round(p99, 3), round(skews[-1], 3), None)
+    if offs:
+        row = row._replace(off_ms=round(max(offs), 3))
+    return row if asked_ms is None else row._replace(asked=f"p99<={asked_ms:g}", met=row.p99_ms <= asked_ms)
+
+
+def _run(seed: int, way: str) -> tuple[float, float]:
+    """The skew of one start, and the furthest motion from T0, in ms."""
+
+    async def main(clock: VirtualClock) -> tuple[float, float]:
+        bus = _build(clock, seed)
+        if way == "E":
+            return await _one_by_one(bus), 0.0
+        starts, t0_ns = await _together(bus, line=way == "line")
+        return (max(starts) - min(starts)) * 1e-6, max(abs(each - t0_ns) for each in starts) * 1e-6
+
+    return run_virtual(main)
+
+
+def _build(clock: VirtualClock, seed: int) -> _Bus:
+    draw = Random(seed)
+
+    def spread(value: float) -> float:
+        return value * draw.uniform(1 - SPREAD, 1 + SPREAD)
+
+    def branch(address: int) -> Branch:
+        options = {
+            "checksum": True,
+            "line_ms": spread(LINE_MS),
+            "start_latency_ms": spread(START_MS),
+            "input_filter_ms": spread(FILTER_MS),
+            "input_poll_ms": POLL_MS,
+        }
+        crystal = Oscillator(draw.randrange(10**9), draw.uniform(-CRYSTAL_PPM, CRYSTAL_PPM))
+        least_us = DECODE_US * (1 - SPREAD)
+        timing = Timing(round(least_us * NS_PER_US), round(2 * SPREAD * DECODE_US * NS_PER_US))
+        return Branch(address, options, crystal, timing, draw.randrange(10**9))
+
+    line = build_line(simulator(MAKE), clock, {f"u{address}": branch(address) for address in UNITS})
+    wire = MemoryWire(clock, serial_wire(BAUD), line.far, "serial", "bus", copy_context(), seed)
+    make, shared = find_make(MAKE), dict[str, Any]()
+    firer = LoopFirer(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
+    drivers: list[Driver] = []
+    for address in UNITS:
+        config = Controller.model_validate(_config(address))
+        options = make.options.model_validate(config.options)
+        drivers.append(make.driver(Setup(f"u{address}", config, options, clock, wire.open, firer, shared)))
+    return _Bus(clock, [line.units[f"u{address}"] for address in UNITS], drivers, wire, draw)
+
+
+def _config(address: int) -> dict[str, Any]:
+    link = {"kind": "serial", "device": "/dev/ttyS0", "baud": BAUD, "data_bits": 7, "parity": "odd", "unit": address}
+    axis = {
+        "motors": ["1"],
+        "unit": "counts",
+        "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION},
+        "start_rate": {"min": 100, "max": 400},
+    }
+    return {"adapter": MAKE, "link": link, "axes": {"a": axis}, "inputs": {"go": {"number": LINE_INPUT}}}
+
+
+async def _together(bus: _Bus, *, line: bool) -> tuple[list[int], int]:
+    """One step of all seven by their drivers, armed one beside the other, as a coordinator does; starts and T0."""
+    for driver in bus.drivers:
+        await driver.connect()
+        await driver.configure()
+        await driver.enable(["a"], True)
+    profiles = dict(plan_step([AxisMove("a", 0, STEPS, VELOCITY, ACCELERATION)]).profiles)
+    how = StartWay(wait=LineWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS)) if line else StartWay(by="host")
+    lowered = [driver.lower(profiles, how, None) for driver in bus.drivers]
+    lead_ns = sum(each.costs.arm_ns for each in lowered) + max(each.costs.disarm_ns for each in lowered)
+    t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
+    pairs = list(zip(bus.drivers, lowered, strict=True))
+    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.verify() for driver in bus.drivers))
+    await asyncio.gather(*(driver.go() for driver in bus.drivers))
+    if line:
+        await sleep_until_ns(bus.clock, t0_ns + bus.draw.randint(-EDGE_NS, EDGE_NS))
+        for unit in bus.units:
+            unit.set_input(LINE_INPUT, True)
+    spans = await asyncio.gather(*(driver.started() for driver in bus.drivers))
+    for (driver, _), span, unit in zip(pairs, spans, bus.units, strict=True):
+        outcome, began_ns = await driver.outcome(), unit.motions[0].start_ns
+        if outcome.state != "done" or not span["a"].earliest_ns <= began_ns <= span["a"].latest_ns:
+            raise RuntimeError(f"a start of the benchmark is not as its driver says: {outcome.reason or span}")
+        await driver.close()
+    return bus.starts(0), t0_ns
+
+
+async def _one_by_one(bus: _Bus) -> float:
+    """E to each, as soon as the one before has answered, by a program with the same move."""
+    link = await bus.wire.open()
+    for address in UNITS:
+        for text in ("PO", "S100", "T2000", "R99", f"G+{STEPS}", "PX"):
+            await _said(link, address, text)
+    for address in UNITS:
+        await _said(link, address, "E")
+    await sleep_ns(bus.clock, 500 * NS_PER_MS)
+    await link.close()
+    starts = bus.starts(0)
+    return (max(starts) - min(starts)) * 1e-6
+
+
+async def _said(link: Link, address: int, text: str) -> None:
+    """A line with its checksum; returns when its answer has come."""
+    line = f"{address}{text}".encode()
+    link.write(line + bytes((sum(line) % 128,)) + b"\r")
+    answer = (await link.read()).data
+    if answer != b"YY\r":
+        raise RuntimeError(f"{address}{text} was answered {answer!r}")

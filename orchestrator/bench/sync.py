@@ -1,0 +1,389 @@
+"""How well fleets start, stay and end together: whole coordinators in virtual time, judged by the simulators' truth.
+
+A world is a fleet with crystals of its own that has polled its controllers for a while; in it one step after the other
+is run, there and back, after pauses of random length, so that every start meets other phases of the servo ticks.
+"""
+
+import asyncio
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any, NamedTuple
+
+from orchestrator.bench.sync_baselines import BASELINES, Baseline
+from orchestrator.bench.sync_bounds import Bound, drifting_ticks, latencies, ticks
+from orchestrator.bench.sync_fleets import PP_SPREAD_MS, sync_fleet
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.job import Job
+from orchestrator.model.report import JobReport, StepRecording, StepReport
+from orchestrator.runtime.virtual import VirtualFleet
+from orchestrator.runtime.workers import spread
+
+HISTORY_S = 300
+STEPS_A_WORLD = 40
+WORLDS = 10  # of a row of many trials, at the least
+LOOKS = 24  # at the path of each step
+PEAK_SHARE = 0.1  # of the peak velocity, below which a distance is no time
+PAUSE_NS = NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A row: a fleet, and how it moves.
+
+    cruise_s: at half the speed limit. step: more fields of the move. trials: share of those asked for. steps_a_world:
+    few where it matters how different the crystals are; None: forty, or more where many are asked for. most_ms: what
+    its figures may be at the most. bound: the p99 of its start skew that nobody can do better than, where that is
+    known.
+    """
+
+    name: str
+    fleet: str
+    cruise_s: float = 0.6
+    limits: dict[str, float] = field(default_factory=dict[str, float])
+    step: dict[str, Any] = field(default_factory=dict[str, Any])
+    trials: float = 1.0
+    steps_a_world: int | None = None
+    asked: str = ""
+    most_ms: dict[str, float] = field(default_factory=dict[str, float])
+    bound: Bound | None = None
+
+
+TICK_MS = 1000 / 1024
+CASES = (
+    Case(
+        "clock",
+        "8 SMC-4000",
+        asked="p99 1 tick + 0.15 ms, p50 0.7 tick",
+        most_ms={"start_p99": TICK_MS + 0.15, "start_p50": 0.7 * TICK_MS},
+        bound=ticks(8, TICK_MS),
+    ),
+    Case(
+        "clock",
+        "64 SMC-4000",
+        trials=0.1,
+        asked="p99 1 tick + 0.2 ms",
+        most_ms={"start_p99": TICK_MS + 0.2},
+        bound=ticks(64, TICK_MS),
+    ),
+    Case(
+        "clock, align 10 s",
+        "2 SMC-4000",
+        step={"align": "10 s"},
+        steps_a_world=4,
+        asked="p50 0.12, p99 0.5 ms",
+        most_ms={"start_p50": 0.12, "start_p99": 0.5},
+        bound=drifting_ticks(10, TICK_MS),
+    ),
+    Case(
+        "clock, align 300 s",
+        "2 SMC-4000",
+        step={"align": "300 s"},
+        steps_a_world=4,
+        trials=0.3,
+        asked="p99 0.3 ms",
+        most_ms={"start_p99": 0.3},
+        bound=drifting_ticks(300, TICK_MS),
+    ),
+    Case(
+        "clock, contour",
+        "8 SMC-4000",
+        limits={"jerk": 20_000.0},
+        trials=0.5,
+        asked="path p99 0.3 ms",
+        most_ms={"path_p99": 0.3},
+        bound=ticks(8, TICK_MS),
+    ),
+    Case(
+        "clock, 60 s",
+        "8 SMC-4000",
+        cruise_s=60.0,
+        trials=0.3,
+        asked="end, path p99 1 tick + 0.3 ms",
+        most_ms={"end_p99": TICK_MS + 0.3, "path_p99": TICK_MS + 0.3},
+        bound=ticks(8, TICK_MS),
+    ),
+    Case(
+        "clock",
+        "8 SMC-2000, own ports",
+        asked="p99 2 ms",
+        most_ms={"start_p99": 2.0},
+        bound=ticks(8, TICK_MS),
+    ),
+    Case("clock", "8 SMC-2000, one chain", trials=0.2, bound=ticks(8, TICK_MS)),
+    Case("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    Case("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
+    Case("line", "mixed, lines", step={"start": "line"}, trials=0.5),
+    # Two units that begin up to 15 ms later than told can not be told better, unless by a line or by their own clock.
+    Case(
+        "best",
+        "mixed with pp",
+        asked="p99 9 ms",
+        most_ms={"start_p99": 9.0},
+        bound=latencies(PP_SPREAD_MS),
+    ),
+)
+
+
+class SyncFigures(NamedTuple):
+    """Skews in ms: of starts, ends, and on the way. budget: predicted, guaranteed, its median. width: of the verdict's
+    interval; 99 in 100 are narrower; width_most: what is asked of it. misses: verdicts that do not hold the truth.
+    late: steps in which a wire kept a line of a start by the host for longer than its adapter counts on
+    (`wire_jitter_us`); nobody can know that, so what rests on it is no miss, but what the controllers have shown is.
+    worst: member and term that the budget names. The old ways have only starts."""
+
+    fleet: str
+    way: str
+    trials: int
+    start_p50: float
+    start_p99: float
+    start_max: float
+    bound_p99: float | None = None
+    end_p99: float | None = None
+    path_p99: float | None = None
+    budget: float | None = None
+    width: float | None = None
+    width_most: float | None = None
+    misses: int | None = None
+    late: int | None = None
+    worst: str = ""
+    asked: str = ""
+    met: bool | None = None
+
+
+class Trial(NamedTuple):
+    """One step, ns."""
+
+    start_ns: int
+    end_ns: int
+    path_ns: float
+    budget_ns: int
+    width_ns: int
+    irreducible_ns: int
+    missed: bool
+    late: bool
+    worst: str
+
+
+def bench_sync(
+    trials: int,
+    seed: int = 1,
+    only: str = "",
+    history_s: int = HISTORY_S,
+    processes: int = 1,
+    told: Callable[[SyncFigures], None] = lambda _: None,
+) -> tuple[list[SyncFigures], dict[str, list[float]]]:
+    """All rows whose name `only` (a regular expression) finds, the old ways first; with their start skews, ms."""
+    rows: list[SyncFigures] = []
+    starts: dict[str, list[float]] = {}
+
+    def take(row: SyncFigures, skews_ms: list[float]) -> None:
+        rows.append(row)
+        starts[f"{row.fleet}: {row.way}"] = skews_ms
+        told(row)
+
+    for row, baseline in enumerate(BASELINES):
+        if re.search(only, f"{baseline.fleet}, {baseline.way}"):
+            olds = [OldTrial(row, seed, number) for number in range(trials)]
+            take(*_baseline(baseline, list(spread(_play_old, olds, processes))))
+    for row, case in enumerate(CASES):
+        if re.search(only, f"{case.fleet}, {case.name}"):
+            worlds = list(_worlds(row, max(2, round(trials * case.trials)), seed, history_s))
+            take(*_figures(case, [trial for found in spread(_play, worlds, processes) for trial in found]))
+    return rows, starts
+
+
+class OldTrial(NamedTuple):
+    """One of a row of BASELINES."""
+
+    row: int
+    seed: int
+    number: int
+
+
+def _play_old(trial: OldTrial) -> float:
+    """The start skew, ms."""
+    draw = Random(f"{trial.seed} {trial.number}")
+    return run_virtual(lambda clock: BASELINES[trial.row].trial(clock, draw)) / 1e6
+
+
+def _baseline(baseline: Baseline, skews_ms: list[float]) -> tuple[SyncFigures, list[float]]:
+    return SyncFigures(baseline.fleet, baseline.way, len(skews_ms), *_spread(skews_ms)), skews_ms
+
+
+class World(NamedTuple):
+    """Some steps of a row of CASES, after history_s of polls."""
+
+    row: int
+    seed: int
+    steps: int
+    history_s: int
+
+
+def _worlds(row: int, trials: int, seed: int, history_s: int) -> Iterator[World]:
+    # The polls before take as long as forty steps.
+    a_world = CASES[row].steps_a_world or max(STEPS_A_WORLD, trials // WORLDS)
+    for number, begun in enumerate(range(0, trials, a_world)):
+        yield World(row, seed * 1000 + number, min(a_world, trials - begun), history_s)
+
+
+def _play(world: World) -> list[Trial]:
+    return run_virtual(lambda clock: _steps(clock, world))
+
+
+def _figures(case: Case, found: list[Trial]) -> tuple[SyncFigures, list[float]]:
+    starts = [each.start_ns / 1e6 for each in found]
+    figures = SyncFigures(
+        fleet=case.fleet,
+        way=case.name,
+        trials=len(found),
+        **dict(zip(("start_p50", "start_p99", "start_max"), _spread(starts), strict=True)),
+        bound_p99=None if case.bound is None else round(case.bound(), 3),
+        end_p99=_share([each.end_ns / 1e6 for each in found], 0.99),
+        path_p99=_share([each.path_ns / 1e6 for each in found], 0.99),
+        budget=_share([each.budget_ns / 1e6 for each in found], 0.5),
+        width=_share([each.width_ns / 1e6 for each in found], 0.99),
+        misses=sum(each.missed for each in found),
+        late=sum(each.late for each in found),
+        worst=max({each.worst for each in found}, key=lambda name: sum(each.worst == name for each in found)),
+        asked=case.asked,
+    )
+    irreducible = _share([each.irreducible_ns / 1e6 for each in found], 0.5)
+    figures = figures._replace(width_most=round(max(3 * figures.start_p99, 2 * irreducible), 3))
+    most_ms = {**case.most_ms, "width": figures.width_most}
+    met = all(getattr(figures, name) <= most for name, most in most_ms.items()) if case.most_ms else None
+    return figures._replace(met=met), starts
+
+
+async def _steps(clock: VirtualClock, world: World) -> list[Trial]:
+    case = CASES[world.row]
+    draw = Random(f"{case.name} {case.fleet} {world.seed}")
+    fleet = VirtualFleet(sync_fleet(case.fleet, world.seed, **case.limits), clock, world.seed, guardian=False)
+    await fleet.start()
+    names = list(fleet.fleet.controllers)
+    await _run(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
+    await sleep_ns(clock, world.history_s * NS_PER_S)
+    found: list[Trial] = []
+    for k in range(world.steps):
+        await sleep_ns(clock, draw.randrange(PAUSE_NS))
+        targets = {
+            f"{name}.x": (limits.velocity * (0.2 + 0.5 * case.cruise_s)) if k % 2 == 0 else 0.0
+            for name in names
+            for limits in [fleet.fleet.controllers[name].axes["x"].limits]
+        }
+        move = {"do": "move", "to": targets, "speed": 0.5, **case.step}
+        found.append(await _trial(fleet, move, round(case.cruise_s / LOOKS * NS_PER_S), draw))
+    return found
+
+
+async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> Trial:
+    before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+    seen: list[tuple[int, dict[str, float]]] = []
+    watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
+    report = await _run(fleet, [move])
+    watching.cancel()
+    step = report.steps[0]
+    client = fleet.client("path")
+    recording = await client.recording(report.job_id, 0)
+    await client.close()
+    assert recording is not None
+    made = [each.motions[before[name]] for name, each in fleet.controllers.items()]
+    origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+    start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
+    ends = [motion.end_ns for motion in made if motion.end_ns is not None]
+    skew, budget = step.start_skew, step.budget
+    assert skew is not None and budget is not None
+    moved = dict(zip(fleet.controllers, made, strict=True))
+    late = any(
+        step.members[name].start_class == "host" and fleet.wires[name].kept_a_start(motion.start_ns)
+        for name, motion in moved.items()
+    )
+    missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
+    for name, motion in moved.items():
+        for evidence in step.members[name].evidence.values():
+            for said in (evidence.start,) if late else (evidence.start, evidence.judged_start):
+                missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
+    return Trial(
+        start_ns,
+        max(ends) - min(ends),
+        _path_skew(recording, origin_ns, seen),
+        budget.predicted_ns,
+        skew.at_most_ns - skew.at_least_ns,
+        sum(sorted(_irreducible_ns(step, name) for name in fleet.controllers)[-2:]),
+        missed,
+        late,
+        f"{budget.worst_member}, {budget.worst_term}",
+    )
+
+
+def _irreducible_ns(step: StepReport, name: str) -> int:
+    """What nobody can know of a member's start, to either side. With a clock: half its shortest question, and the tick
+    by which it stamps; without, half of what its wire and firmware leave open."""
+    assert step.budget is not None
+    member, budget = step.members[name], step.budget.members[name]
+    if member.mapping is not None and member.start_class == "clock":
+        return member.mapping.min_rtt_ns // 2 + round(member.mapping.tick_ns)
+    return (budget.latest_ns - budget.earliest_ns) // 2
+
+
+async def _watch_path(
+    fleet: VirtualFleet, every_ns: int, draw: Random, seen: list[tuple[int, dict[str, float]]]
+) -> None:
+    """Take down where all axes really are (counts), at random instants."""
+    motors = {name: config.axes["x"].motors[0] for name, config in fleet.fleet.controllers.items()}
+    while True:
+        await sleep_ns(fleet.clock, every_ns // 2 + draw.randrange(every_ns))
+        where = {f"{name}.x": each.position(motors[name]) for name, each in fleet.controllers.items()}
+        seen.append((fleet.clock.now_ns(), where))
+
+
+def _path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
+    """How far the axes' places on the plan are apart in time, ns, at the most: (position - plan) / planned velocity,
+    where that is at least a tenth of the axis's peak."""
+    worst_ns = 0.0
+    at = {axis: each.profile.evaluator() for axis, each in recording.axes.items()}
+    for now_ns, where in seen:
+        since_s = (now_ns - origin_ns - recording.t0_fleet_ns) * 1e-9
+        late: list[float] = []
+        for axis, each in recording.axes.items():
+            if not 0.0 < since_s < each.profile.duration_s:
+                continue
+            planned = at[axis](since_s)
+            if abs(planned.velocity) >= PEAK_SHARE * each.profile.peak_velocity:
+                off = where[axis] - each.profile.start_counts - planned.position
+                late.append(off / planned.velocity * 1e9)
+        if len(late) > 1:
+            worst_ns = max(worst_ns, max(late) - min(late))
+    return worst_ns
+
+
+async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
+    job = Job.model_validate(
+        {
+            "schema": "tutti.job/1",
+            "name": "sync",
+            "max_start_skew": "500 ms",
+            "max_end_skew": "500 ms",
+            "steps": steps,
+        }
+    )
+    client = fleet.client("sync")
+    try:
+        report = await client.wait(await client.submit(job))
+    finally:
+        await client.close()
+    if report.state != "done":
+        raise RuntimeError(f"the step has not run: {report.reason}")
+    return report
+
+
+def _spread(values: list[float]) -> tuple[float, float, float]:
+    return _share(values, 0.5), _share(values, 0.99), _share(values, 1.0)
+
+
+def _share(values: list[float], share: float) -> float:
+    """Percentile by nearest rank."""
+    ordered = sorted(values)
+    return round(ordered[min(len(ordered) - 1, int(share * len(ordered)))], 3)

@@ -1,0 +1,163 @@
+"""The old ways of starting controllers together, as real baselines: bytes on simulated wires, nothing of Tutti between.
+
+Moves are loaded by hand; then a chain gets its broadcast, or each controller its go.
+"""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from contextlib import suppress
+from contextvars import copy_context
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, SPREAD_US, WANDER_PPM
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.virtual import VirtualClock
+from orchestrator.link.base import Link
+from orchestrator.link.memory import LAN, MemoryWire, serial_wire
+from sim.core.controller import Branch, Port, SimulatedController, Timing, build_line
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+COUNT = 8
+_LOAD = ("SHX", "SPX=50000", "ACX=500000", "DCX=500000", "PRX=20000")
+_TIMING = Timing(500 * NS_PER_US, SPREAD_US * NS_PER_US)
+_SETTLE_NS = 200 * NS_PER_MS
+_HOLD_NS = round(HOLD_MS * NS_PER_MS)
+_WRITE_NS = (20_000, 60_000)  # what a write to a socket or port takes a script
+_SILENCE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A row: fleet, way, and what runs one trial and gives its start skew in ns."""
+
+    fleet: str
+    way: str
+    trial: Callable[[VirtualClock, Random], Coroutine[Any, Any, int]]
+
+
+def _crystal(draw: Random) -> Oscillator:
+    return Oscillator(draw.randrange(10**11), draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, draw.randrange(2**31))
+
+
+def _aged(draw: Random) -> int:
+    """So long after power-up: by then the phases of the servo ticks are anywhere."""
+    return draw.randrange(200 * NS_PER_S, 600 * NS_PER_S)
+
+
+def _skew(units: list[SimulatedController]) -> int:
+    starts = [unit.motions[-1].start_ns for unit in units]
+    return max(starts) - min(starts)
+
+
+async def _drain(link: Link) -> None:
+    """Take everything that has been answered so far."""
+    with suppress(TimeoutError):
+        while True:
+            async with asyncio.timeout(_SILENCE_S):
+                await link.read()
+
+
+async def _answered(link: Link, ends: bytes) -> None:
+    """Read until an acknowledge has come."""
+    seen = b""
+    while not seen.endswith(ends):
+        seen += (await link.read()).data
+
+
+async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
+    """`!BG` to a daisy chain; with shared sample clock, `TM -1` in all units but the first (SMC-2000, L975)."""
+    branches = {
+        f"u{k}": Branch(k, {"axes": 2, "echo": False}, _crystal(draw), _TIMING, draw.randrange(2**31))
+        for k in range(COUNT)
+    }
+    line = build_line(simulator("smc2000"), clock, branches)
+    if shared:
+        line.far.share_clock()  # type: ignore[attr-defined]  # of a chain
+    link = await _wire(clock, line.far, "serial", draw, 19200).open()
+    await sleep_ns(clock, _aged(draw))
+    for k in range(COUNT):
+        external = ("TM -1",) if shared and k else ()
+        link.write("".join(f"{command}\r" for command in (f"%{k}", *external, *_LOAD)).encode())
+        await sleep_ns(clock, _SETTLE_NS + draw.randrange(NS_PER_MS))
+    link.write(b"!BGX\r")
+    await sleep_ns(clock, _SETTLE_NS)
+    await link.close()
+    return _skew(list(line.units.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Make:
+    """How a controller of a make is spoken to by hand. load: lines; go: what starts it; ends: of its acknowledge."""
+
+    model: str
+    baud: int
+    options: Mapping[str, object]
+    timing: Timing
+    load: tuple[str, ...]
+    go: str
+    ends: bytes
+    eol: str = "\r"
+
+
+_SMC4000 = _Make("smc4000", 0, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
+_SMC2000 = _Make("smc2000", 19200, {"axes": 2}, _TIMING, ("EO 0", *_LOAD), "BGX", b":")
+_SHRC203 = _Make(
+    "shrc203",
+    38400,
+    {"divide": 20, "speed": [100, 20000, 100]},
+    Timing(NS_PER_MS, 800 * NS_PER_US),
+    ("C:11", "MP:1+P20000,S100F20000R100"),
+    "G:1",
+    b"OK\r\n",
+    "\r\n",
+)
+
+
+async def _one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_Make], waits: bool) -> int:
+    """Each controller on a link of its own is told to go; waits: only when the one before has acknowledged."""
+    units: list[SimulatedController] = []
+    links: list[Link] = []
+    for k, make in enumerate(makes):
+        branch = Branch(None, make.options, _crystal(draw), make.timing, draw.randrange(2**31))
+        line = build_line(simulator(make.model), clock, {f"u{k}": branch})
+        units += line.units.values()
+        links.append(await _wire(clock, line.far, "serial" if make.baud else "tcp", draw, make.baud).open())
+        for text in make.load:
+            links[-1].write((text + make.eol).encode())
+            await sleep_ns(clock, _SETTLE_NS)
+    await sleep_ns(clock, _aged(draw))
+    for link in links:
+        await _drain(link)
+    for make, link in zip(makes, links, strict=True):
+        await sleep_ns(clock, draw.randrange(*_WRITE_NS))
+        link.write((make.go + make.eol).encode())
+        if waits:
+            await _answered(link, make.ends)
+    await sleep_ns(clock, _SETTLE_NS)
+    for link in links:
+        await link.close()
+    return _skew(units)
+
+
+def _wire(clock: VirtualClock, far: Port, port: str, draw: Random, baud: int) -> MemoryWire:
+    model = serial_wire(baud, hold_ns=_HOLD_NS) if baud else LAN
+    return MemoryWire(clock, model, far, port, port, copy_context(), draw.randrange(2**31))
+
+
+def _by_hand(fleet: str, makes: Sequence[_Make]) -> tuple[Baseline, Baseline]:
+    return (
+        Baseline(fleet, "old: go, then wait", lambda clock, draw: _one_by_one(clock, draw, makes, True)),
+        Baseline(fleet, "old: go to all", lambda clock, draw: _one_by_one(clock, draw, makes, False)),
+    )
+
+
+BASELINES = (
+    Baseline("8 SMC-2000, one chain", "old: !BG", lambda clock, draw: _broadcast(clock, draw, False)),
+    Baseline("8 SMC-2000, one chain", "old: !BG, shared clock", lambda clock, draw: _broadcast(clock, draw, True)),
+    *_by_hand("8 SMC-4000", [_SMC4000] * COUNT),
+    *_by_hand("8 SMC-2000, own ports", [_SMC2000] * COUNT),
+    *_by_hand("mixed", [_SMC4000, _SMC4000, _SMC2000, _SMC2000, _SHRC203, _SHRC203]),  # of what starts by one line
+)

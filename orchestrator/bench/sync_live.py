@@ -1,0 +1,66 @@
+"""The same fleets with real sockets, pseudo-terminals and processes of this machine, and all its noise in the figures.
+
+Adapters, firing process, bus and coordinator are the real ones; simulated controllers act late like every process here,
+which controllers of iron do not: what is found is this machine's figure, not the fleet's.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from orchestrator.bench.fleet import measured_fleet
+from orchestrator.bench.spread import Noise, Spread, spread
+from orchestrator.bench.sync_fleets import sync_fleet
+from orchestrator.bench.truth import NothingHappened
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.job import Job
+from orchestrator.model.messages import Reign
+from orchestrator.runtime.demo_truth import verdicts_against_truth
+
+FLEETS = ("8 SMC-4000", "mixed")
+
+
+class LiveSync(NamedTuple):
+    """start: skews of true starts. outside: steps with a start outside its evidence. noise: how late this machine wakes
+    a process."""
+
+    fleet: str
+    start: Spread
+    outside: int
+    noise: Spread
+
+
+async def bench_sync_live(steps: int, state: Path, told: Callable[[str], None]) -> list[LiveSync]:
+    """Run `steps` steps on each fleet. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    return [await _fleet(name, steps, state / str(number), told) for number, name in enumerate(FLEETS)]
+
+
+async def _fleet(name: str, steps: int, state: Path, told: Callable[[str], None]) -> LiveSync:
+    told(f"{name}: {steps} steps")
+    fleet = sync_fleet(name, 1)
+    names = list(fleet.controllers)
+    far = {f"{each}.x": fleet.controllers[each].axes["x"].limits.velocity * 0.5 for each in names}
+    moves: list[dict[str, object]] = [
+        {"do": "move", "to": far if k % 2 == 0 else dict.fromkeys(far, 0.0), "speed": 0.5} for k in range(steps)
+    ]
+    job = Job.model_validate(
+        {
+            "schema": "tutti.job/1",
+            "name": "sync, live",
+            "max_start_skew": "500 ms",
+            "max_end_skew": "1 s",
+            "steps": [{"do": "enable", "axes": names}, {"do": "home"}, *moves],
+        }
+    )
+    async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
+        began_ns = raw_ns()
+        report = await tutti.wait(await tutti.submit(job), poll_s=0.2)
+        if report.state != "done":
+            raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
+        async with tutti.samples(tutti.keys.reign) as heard:
+            origin_ns = Reign.model_validate_json((await heard.get()).payload).origin_host_ns
+        held = verdicts_against_truth(fleet, report, live.state / "truth", origin_ns)
+        told(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
+        return LiveSync(
+            name, spread([each.skew_ns for each in held]), sum(not each.held for each in held), noise.spread()
+        )

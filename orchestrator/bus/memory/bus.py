@@ -1,0 +1,379 @@
+"""The bus in virtual time: one shared medium in memory, driven by the given clock alone.
+
+It keeps what Zenoh keeps and no more, and can be hurt the way a real one can: partitions, dead and hung processes.
+Everything random comes from one seed; nothing depends on the order of a set or on a hash.
+
+A process in virtual time is known by the context (`contextvars`) that its code runs in. So every callback and
+handler runs in the context that was current when it was declared, while what the medium does runs in the context
+that the `MemoryNet` was made in: make it outside of every process.
+"""
+
+import asyncio
+import contextvars
+import random
+from collections.abc import Callable
+from functools import partial
+
+from orchestrator.bus.base import BusClosed, Declared, Handler, Priority, Sample
+from orchestrator.bus.expression import check_expression, check_key, check_put, intersects
+from orchestrator.bus.memory.medium import Latency, Waiting
+from orchestrator.bus.memory.presence import PresenceBoard, Token, Watch
+from orchestrator.bus.memory.requests import Requests, Served
+from orchestrator.bus.outcome import Outcome
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.virtual import VirtualClock
+
+LEASE_NS = 10 * NS_PER_S
+"""How long a silent process is believed to be there: Zenoh's default."""
+
+RECONNECT_NS = 200 * NS_PER_MS
+"""How long a process that was given up needs to be back."""
+
+DEATH_NS = 2 * NS_PER_MS
+"""How long a death needs to be known: the kernel closes the socket, the router tells the others."""
+
+QUEUE_LIMIT = 1000
+"""Droppable samples that wait before a process that does not run; more are lost."""
+
+
+class _Subscription:
+    """Who wants the samples of an expression."""
+
+    def __init__(self, bus: "MemoryBus", expression: str, callback: Callable[[Sample], None]) -> None:
+        self.bus = bus
+        self.expression = expression
+        self.context = contextvars.copy_context()
+        self._callback = callback
+        self._stands = True
+
+    def deliver(self, sample: Sample) -> None:
+        if self._stands and self.bus.alive:
+            self._callback(sample)
+
+    async def undeclare(self) -> None:
+        self._stands = False
+        self.bus.net.forget_subscription(self)
+
+
+class MemoryNet:
+    """The shared medium. Give it to nobody but who plays with faults; processes get what `join` returns."""
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        *,
+        seed: int = 0,
+        latency: Latency | None = None,
+        lease_ns: int = LEASE_NS,
+        reconnect_ns: int = RECONNECT_NS,
+        queue_limit: int = QUEUE_LIMIT,
+    ) -> None:
+        self.clock = clock
+        self._rng = random.Random(seed)
+        self._latency = latency or Latency()
+        self._lease_ns = lease_ns
+        self._reconnect_ns = reconnect_ns
+        self._queue_limit = queue_limit
+        self._context = contextvars.copy_context()
+        self._buses: dict[str, MemoryBus] = {}
+        self._subscriptions: list[_Subscription] = []
+        self._routes: dict[str, list[tuple[MemoryBus, list[_Subscription]]]] = {}
+        self._sides: dict[str, int] = {}
+        self._lost_sides: dict[str, int] = {}
+        self._cuts = 0
+        self._lossy: dict[str, float] = {}
+        self.presence = PresenceBoard(self)
+        self.requests = Requests(self)
+
+    # Faults
+
+    def join(self, name: str) -> "MemoryBus":
+        """A place for the process `name`, which may be a new start of one that left or was killed."""
+        if name in self._buses:
+            raise ValueError(f"{name!r} is on the bus already")
+        bus = MemoryBus(self, name, self._queue_limit)
+        self._buses[name] = bus
+        return bus
+
+    def partition(self, *sides: set[str]) -> None:
+        """Cut the medium: what goes from one side to another is lost from now on, presence after the lease.
+
+        A process that is in no side reaches all. Replaces an earlier partition.
+        """
+        self._sides = {name: number for number, side in enumerate(sides) for name in sorted(side)}
+        self._cuts += 1
+        cut = self._cuts
+
+        def lose() -> None:
+            if self._cuts == cut:
+                self._lost_sides = self._sides
+                self.presence.refresh()
+
+        self.at(self.clock.now_ns() + self._lease_ns, lose)
+
+    def heal(self) -> None:
+        """End the partition. Samples and requests pass at once; presence is back when all have reconnected."""
+        self._sides = {}
+        self._cuts += 1
+        healed = self._cuts
+        self.presence.refresh()
+
+        def find() -> None:
+            if self._cuts == healed:
+                self._lost_sides = {}
+                self.presence.refresh()
+
+        self.at(self.clock.now_ns() + self._reconnect_ns, find)
+
+    def lose(self, name: str, share: float) -> None:
+        """Drop this share (0 to 1) of what may be dropped of a process's samples."""
+        self._lossy[name] = share
+
+    def kill(self, name: str) -> None:
+        """The process is dead: nothing goes out or in any more. Others know within milliseconds.
+
+        This, `hang` and `resume` do nothing where the process has left the bus before.
+        """
+        bus = self._buses.pop(name, None)
+        if bus is None:
+            return
+        bus.alive = False
+        self.drop_declarations(bus)
+
+        def known() -> None:
+            self.requests.gone(bus)
+            self.presence.gone(bus)
+
+        self.at(self.clock.now_ns() + DEATH_NS, known)
+
+    def hang(self, name: str) -> None:
+        """The process stands still: what it gets or puts waits, requests to it time out, presence lasts a lease."""
+        bus = self._buses.get(name)
+        if bus is None:
+            return
+        bus.hung = True
+        bus.hangs += 1
+        hang = bus.hangs
+
+        def give_up() -> None:
+            if bus.alive and bus.hung and bus.hangs == hang:
+                bus.given_up = True
+                self.requests.gone(bus)
+                self.presence.refresh()
+
+        self.at(self.clock.now_ns() + self._lease_ns, give_up)
+
+    def resume(self, name: str) -> None:
+        """The process runs on: what waited goes on its way. If it was given up, it is back a little later."""
+        bus = self._buses.get(name)
+        if bus is None:
+            return
+        bus.hung = False
+        bus.outgoing.release()
+        bus.incoming.release()
+        hang = bus.hangs
+
+        def back() -> None:
+            if bus.alive and not bus.hung and bus.hangs == hang:
+                bus.given_up = False
+                self.presence.refresh()
+
+        if bus.given_up:
+            self.at(self.clock.now_ns() + self._reconnect_ns, back)
+
+    # What the parts of the medium use
+
+    def at(self, at_ns: int, call: Callable[[], None]) -> None:
+        """Let the medium do something later, in its own context whoever asked."""
+        self.clock.call_at_ns(at_ns, call, context=self._context)
+
+    def arrival_ns(self, priority: Priority = Priority.EVENT) -> int:
+        """When something that leaves now is through the medium."""
+        least_ns = self._latency.least_ns
+        return self.clock.now_ns() + (least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng))
+
+    def cut(self, one: "MemoryBus", other: "MemoryBus") -> bool:
+        """Whether nothing passes between two processes now."""
+        return one.given_up or other.given_up or _apart(self._sides, one, other)
+
+    def lost(self, one: "MemoryBus", other: "MemoryBus") -> bool:
+        """Whether two processes no longer believe in each other."""
+        return one.given_up or other.given_up or _apart(self._lost_sides, one, other)
+
+    def hand_over(self, bus: "MemoryBus", priority: Priority, call: Callable[[], None]) -> None:
+        """Something is at the door of a process: it goes in now, or when the process runs again."""
+        if not bus.alive:
+            return
+        if bus.hung:
+            bus.incoming.add(priority, call)
+        else:
+            call()
+
+    def leave(self, bus: "MemoryBus") -> None:
+        """A process goes in good order."""
+        if self._buses.get(bus.name) is bus:
+            del self._buses[bus.name]
+        self.drop_declarations(bus)
+        self.requests.cancel(bus)
+        self.at(self.arrival_ns(), partial(self.requests.gone, bus))
+        self.presence.gone(bus)
+
+    # Samples
+
+    def add_subscription(self, subscription: _Subscription) -> None:
+        self._subscriptions.append(subscription)
+        self._routes.clear()
+
+    def forget_subscription(self, subscription: _Subscription) -> None:
+        if subscription in self._subscriptions:
+            self._subscriptions.remove(subscription)
+            self._routes.clear()
+
+    def drop_declarations(self, bus: "MemoryBus") -> None:
+        """Forget what a process subscribed to and served."""
+        self._subscriptions = [each for each in self._subscriptions if each.bus is not bus]
+        self._routes.clear()
+        self.requests.forget_all(bus)
+
+    def send(self, sender: "MemoryBus", sample: Sample, priority: Priority) -> None:
+        """Send a sample to everybody who subscribed."""
+        share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
+        lane = (sender.name, sample.key, priority)
+        for receiver, subscriptions in self._route(sample.key):
+            if self.cut(sender, receiver) or (share and self._rng.random() < share):
+                continue
+            at_ns = max(self.arrival_ns(priority), receiver.last_arrivals_ns.get(lane, 0))
+            receiver.last_arrivals_ns[lane] = at_ns
+            self.at(at_ns, partial(self._arrive, sender, receiver, subscriptions, sample, priority))
+
+    def _route(self, key: str) -> "list[tuple[MemoryBus, list[_Subscription]]]":
+        route = self._routes.get(key)
+        if route is None:
+            by_bus: dict[str, tuple[MemoryBus, list[_Subscription]]] = {}
+            for subscription in self._subscriptions:
+                if intersects(subscription.expression, key):
+                    by_bus.setdefault(subscription.bus.name, (subscription.bus, []))[1].append(subscription)
+            route = self._routes[key] = list(by_bus.values())
+        return route
+
+    def _arrive(
+        self,
+        sender: "MemoryBus",
+        receiver: "MemoryBus",
+        subscriptions: list[_Subscription],
+        sample: Sample,
+        priority: Priority,
+    ) -> None:
+        if self.cut(sender, receiver):
+            return
+        if receiver.hung:
+            self.hand_over(receiver, priority, partial(_deliver, subscriptions, sample))
+        else:
+            _deliver(subscriptions, sample)
+
+
+def _apart(sides: dict[str, int], one: "MemoryBus", other: "MemoryBus") -> bool:
+    if not sides or one.name not in sides or other.name not in sides:
+        return False
+    return sides[one.name] != sides[other.name]
+
+
+def _deliver(subscriptions: list[_Subscription], sample: Sample) -> None:
+    loop = asyncio.get_running_loop()
+    for subscription in subscriptions:
+        loop.call_soon(subscription.deliver, sample, context=subscription.context)
+
+
+class MemoryBus:
+    """One process's place on a `MemoryNet`."""
+
+    def __init__(self, net: MemoryNet, name: str, queue_limit: int) -> None:
+        self.net = net
+        self.name = name
+        self.alive = True
+        self.hung = False
+        self.hangs = 0
+        self.given_up = False
+        self.incoming = Waiting(queue_limit)
+        self.outgoing = Waiting(queue_limit)
+        self.last_arrivals_ns: dict[tuple[str, str, Priority], int] = {}
+        self._closed = False
+        self._asking: dict[int, Outcome] = {}
+        self._asked = 0
+
+    def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
+        self._check_open()
+        self.go_out(priority, partial(self.net.send, self, Sample(check_put(key, priority), payload), priority))
+
+    async def subscribe(self, expression: str, callback: Callable[[Sample], None]) -> Declared:
+        self._check_open()
+        subscription = _Subscription(self, check_expression(expression), callback)
+        self.net.add_subscription(subscription)
+        return subscription
+
+    async def serve(self, expression: str, handler: Handler) -> Declared:
+        self._check_open()
+        served = Served(self.net.requests, self, check_expression(expression), handler)
+        self.net.requests.add(served)
+        return served
+
+    async def request(self, key: str, payload: bytes, timeout_s: float) -> bytes:
+        replies = await self._ask(check_key(key), payload, timeout_s, first_only=True)
+        return next(iter(replies.values()))
+
+    async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
+        return await self._ask(check_expression(expression), payload, timeout_s, first_only=False)
+
+    async def _ask(self, key: str, payload: bytes, timeout_s: float, *, first_only: bool) -> dict[str, bytes]:
+        self._check_open()
+        outcome = Outcome(key, timeout_s, first_only=first_only)
+        clock = self.net.clock
+        timer = clock.call_at_ns(clock.now_ns() + round(timeout_s * NS_PER_S), outcome.expire)
+        number = self._asked
+        self._asked += 1
+        self._asking[number] = outcome
+        self.go_out(Priority.EVENT, partial(self.net.requests.ask, self, payload, outcome))
+        try:
+            return await outcome.settled
+        finally:
+            timer.cancel()
+            del self._asking[number]
+
+    async def announce(self, key: str) -> Declared:
+        self._check_open()
+        token = Token(self.net.presence, self, check_key(key))
+        self.net.presence.add_token(token)
+        return token
+
+    async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> Declared:
+        self._check_open()
+        watch = Watch(self.net.presence, self, check_expression(expression), callback)
+        self.net.presence.add_watch(watch)
+        return watch
+
+    @property
+    def backlog(self) -> int:
+        return len(self.outgoing)
+
+    async def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        if self.alive:
+            self.alive = False
+            self.net.leave(self)
+        self.incoming.clear()
+        self.outgoing.clear()
+        for outcome in self._asking.values():
+            outcome.fail(BusClosed(f"the bus of {self.name!r} was closed while it asked for {outcome.key}"))
+
+    def go_out(self, priority: Priority, send: Callable[[], None]) -> None:
+        """Something leaves this process: now, or when the process runs again."""
+        if self.hung:
+            self.outgoing.add(priority, send)
+        elif self.alive:
+            send()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BusClosed(f"the bus of {self.name!r} is closed")

@@ -1,0 +1,34 @@
+"""The router as a process of its own: `python -m orchestrator.bus.zenoh.router ENDPOINT PARENT_PID`.
+
+Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. Exit code 4: the endpoint is taken.
+"""
+
+import signal
+import sys
+
+from orchestrator.bus.zenoh.sessions import RouterRefused, open_router
+from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.realtime import Urgency, hurry
+
+TAKEN = 4
+
+
+def main(endpoint: str, parent_pid: int) -> int:
+    ends = {signal.SIGTERM, signal.SIGINT}
+    # Blocked before Zenoh starts its threads, so that only `sigwait` sees them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    die_with_parent(parent_pid)
+    hurry(Urgency.BUS)
+    try:
+        with open_router(endpoint):
+            sys.stdout.write("ready\n")
+            sys.stdout.flush()
+            signal.sigwait(ends)
+    except RouterRefused as error:
+        sys.stderr.write(f"{error}\n")
+        return TAKEN
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1], int(sys.argv[2])))

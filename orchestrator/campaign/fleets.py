@@ -1,0 +1,133 @@
+"""Fleets of the fault campaign: controllers of random makes, with crystals, lines, hosts and wires as they vary."""
+
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any
+
+from orchestrator.bench import sync_fleets as makes
+from orchestrator.model.fleet import Fleet
+
+MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
+
+LEAST, MOST = 4, 6  # controllers of a fleet
+TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
+PERMIT = "door"
+WITH_PERMIT = "smc4000"
+"""The make that has its input. The first one of a fleet has it."""
+HERE = "37"  # of CiA 402: the reference is where the axis stands
+
+# Slower than the usual rate, as with many controllers on one computer. Where a permit is, it is looked at more often.
+_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
+_GUARDING = {"idle_hz": 3.0, "moving_hz": 5.0}
+# Homing has not far to go, and the edge of a switch lies between two index pulses.
+_NEAR = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
+_DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
+
+Draft = dict[str, dict[str, Any]]
+
+
+def _smc4000(number: int, units: int, draw: Random) -> Draft:
+    config = makes.smc4000(number)
+    config["simulate"]["options"] = _NEAR
+    if draw.random() < 0.3:
+        config["axes"]["y"] = {**config["axes"]["x"], "motors": ["Y"]}
+    config["outputs"] = {"start": {"number": 1}}
+    config["inputs"] = {**config["inputs"], PERMIT: {"number": 2, "active": "low"}}
+    return {f"a{number}": config}
+
+
+def _smc2000(number: int, units: int, draw: Random) -> Draft:
+    drafts = {f"b{number}-{unit}": makes.smc2000(number, unit) for unit in range(units)}
+    if units == 1:
+        drafts = {f"b{number}": makes.smc2000(number)}
+    for config in drafts.values():
+        config["simulate"]["options"] = _NEAR
+    return drafts
+
+
+def _shrc203(number: int, units: int, draw: Random) -> Draft:
+    return {f"c{number}": makes.shrc203(number)}
+
+
+def _ppsmc(number: int, units: int, draw: Random) -> Draft:
+    config = makes.ppsmc(number)
+    config["simulate"]["options"] = {"axes": 1, "org_steps": {"1": [-9000, -200]}}
+    return {f"d{number}": config}
+
+
+def _smc30(number: int, units: int, draw: Random) -> Draft:
+    drafts = {f"e{number}-{unit}": makes.smc30(number, unit) for unit in range(1, units + 1)}
+    for config in drafts.values():
+        config["simulate"]["options"] = {"checksum": True, "travel_steps": [-200, 400_000]}
+    return drafts
+
+
+def _cia402(number: int, units: int, draw: Random) -> Draft:
+    """Drives on one CAN bus, whose reference is where they stand."""
+    drafts: Draft = {}
+    options = {"state_ms": draw.choice((50, 100, 150)), "inhibit_ms": draw.choice((10, 20, 40))}
+    event_ms = draw.choice((10, 20, 40))
+    for unit in range(1, units + 1):
+        link = {"kind": "can", "interface": "socketcan", "channel": f"can{number}", "unit": unit}
+        drafts[f"f{number}-{unit}"] = {
+            "adapter": "cia402",
+            "link": link,
+            "options": options,
+            "axes": {"x": {**_DRIVE, "motors": ["1"], "homing": {"method": HERE}}},
+            "simulate": {"options": {"event_ms": event_ms}, "decode_us": 300, "spread_us": 200},
+        }
+    return drafts
+
+
+_DRAFTS: dict[str, Callable[[int, int, Random], Draft]] = {
+    "smc4000": _smc4000,
+    "smc2000": _smc2000,
+    "shrc203": _shrc203,
+    "ppsmc": _ppsmc,
+    "smc30": _smc30,
+    "cia402": _cia402,
+}
+_SHARING = {"smc2000": 3, "smc30": 2, "cia402": 2}
+"""How many units of a make stand on one line, at the most."""
+
+
+def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
+    """A fleet with at least one controller of each make in `wanted`."""
+    draw = Random(f"fleet {seed}")
+    controllers: Draft = {}
+    todo = list(dict.fromkeys(wanted))
+    while todo or len(controllers) < LEAST:
+        make = todo.pop(0) if todo else draw.choice(MAKES)
+        most = min(_SHARING.get(make, 1), MOST - len(controllers) - len(todo))
+        units = min(most, draw.choice((2, 2, 3))) if draw.random() < TOGETHER else 1
+        drafts = _DRAFTS[make](len(controllers), units, draw)
+        host = draw.choice(("left", "left", "right"))
+        for name, config in drafts.items():
+            controllers[name] = _finished(config, host, draw)
+    plain: dict[str, Any] = {"schema": "tutti.fleet/1", "fleet": "campaign", "controllers": controllers}
+    gantries = [name for name, config in controllers.items() if PERMIT in config.get("inputs", {})]
+    if gantries:
+        plain["permits"] = {PERMIT: {"input": f"{gantries[0]}.{PERMIT}", "value": False}}
+        ends = [f"{name}.start" for name, config in controllers.items() if "start" in config.get("inputs", {})]
+        ends.remove(f"{gantries[0]}.start")
+        if ends and draw.random() < 0.5:
+            plain["wiring"] = [{"from": f"{gantries[0]}.start", "to": ends, "delay_us": [5, 50]}]
+    return Fleet.model_validate(plain)
+
+
+def _finished(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]:
+    crystal = {
+        "offset_s": draw.uniform(0, 600),
+        "drift_ppm": draw.uniform(-makes.DRIFT_PPM, makes.DRIFT_PPM),
+        "wander_ppm": makes.WANDER_PPM,
+    }
+    axes = {name: {**axis, "soft_limits": _soft_limits(axis)} for name, axis in config["axes"].items()}
+    simulate = {**config["simulate"], **crystal}
+    rates = _GUARDING if PERMIT in config.get("inputs", {}) else _RATES
+    return {**config, "axes": axes, "simulate": simulate, "host": host, "state": rates}
+
+
+def _soft_limits(axis: dict[str, Any]) -> dict[str, float]:
+    """Room for moves of some seconds, and a little below zero."""
+    velocity = axis["limits"]["velocity"]
+    return {"min": -0.1 * velocity, "max": 1.6 * velocity}

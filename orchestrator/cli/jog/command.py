@@ -1,0 +1,97 @@
+"""`tutti axis jog`: the jog panel on this terminal, joined with the bus."""
+
+import asyncio
+import signal
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from orchestrator.cli.codes import BAD_INPUT, INTERRUPTED
+from orchestrator.cli.common import fail, fleet_options, with_fleet
+
+if TYPE_CHECKING:
+    from orchestrator.client import Tutti
+    from orchestrator.model.fleet import Axis
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti axis jog
+  tutti axis jog gantry.x gantry.y
+
+\b
+Letting go: a terminal with the kitty keyboard protocol (kitty, foot, WezTerm,
+Ghostty, recent Konsole and iTerm2; not inside tmux) reports it, and the axis
+slows down at once. Any other terminal only repeats a held key: a first press
+is a tap (0.2 s of motion), holding goes on when the repeats come, and the axis
+slows down at most 0.12 s after you let go (0.2 s after a tap began).
+
+\b
+Whatever happens to this terminal, its connection or this process: an axis
+moves at most 0.2 s longer than requests arrive, then slows down by itself."""
+)
+@click.argument("axes", nargs=-1)
+@fleet_options
+def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
+    """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows where they are.
+
+    ←/→ jog the chosen axis in its negative/positive direction while held, ↑/↓ choose the axis, + - 1…9 the speed;
+    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C leaves. An axis that is jogged is leased until
+    3 s after it has come to rest: meanwhile jobs that need it wait, and other people are refused.
+    """
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        fail(
+            "the jog panel needs a terminal on standard input and output",
+            BAD_INPUT,
+            "to move by hand from a script: `tutti axis move --relative AXIS=DISTANCE`",
+        )
+
+    async def act(tutti: "Tutti") -> int:
+        return await _panel(tutti, axes)
+
+    code = with_fleet(connect, fleet, act)
+    if code:
+        raise SystemExit(code)
+
+
+async def _panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
+    """Run the panel; its exit code."""
+    from orchestrator.cli.jog.panel import JogPanel
+    from orchestrator.cli.jog.session import JogSession
+    from orchestrator.cli.jog.terminal import Terminal
+
+    axes = await _configurations(tutti, wanted)
+    ended: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+    def end() -> None:
+        if not ended.done():
+            ended.set_result(INTERRUPTED)
+
+    # From here on every way out leads through the end of the context below, which restores the terminal.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        asyncio.get_running_loop().add_signal_handler(number, end)
+    with Terminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
+        panel = JogPanel(axes, terminal.releases, tutti.keys.fleet)
+        async with JogSession(tutti, panel, terminal, ended):
+            return await ended
+
+
+async def _configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str, Axis]":
+    """The configurations of the wanted axes, in order; an unknown name ends with exit code 2."""
+    from orchestrator.model.fleet import Axis
+
+    infos = await asyncio.gather(*(tutti.info(controller) for controller in await tutti.status()))
+    known = {
+        f"{info.controller}.{name}": Axis.model_validate(axis) for info in infos for name, axis in info.axes.items()
+    }
+    if not wanted:
+        return known
+    chosen: dict[str, Axis] = {}
+    for name in wanted:
+        found = {axis: config for axis, config in known.items() if name in (axis, axis.partition(".")[0])}
+        if not found:
+            fail(f"no axis or controller {name!r}; the axes are: {', '.join(known)}", BAD_INPUT)
+        chosen |= found
+    return chosen

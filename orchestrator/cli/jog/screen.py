@@ -1,0 +1,185 @@
+"""The jog panel as it looks, at 80 columns or more."""
+
+from fractions import Fraction
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from orchestrator.cli.jog.held_key import SILENT_NS, TAP_NS, WAIT_NS
+from orchestrator.cli.jog.panel import IDLE_NS, JogPanel
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.fleet import Axis
+from orchestrator.model.state import AxisState
+from orchestrator.model.units import parse_quantity
+
+STALE_NS = 2 * NS_PER_S  # without a word of a controller that speaks several times a second
+WIDE = 100  # columns from which there is room for wider gaps
+# So that columns do not wander while figures grow.
+_LEAST = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
+BESIDE = 13  # lines of the screen that are neither rows of axes nor troubles
+
+_LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
+_ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
+
+
+def screen(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
+    """The whole panel for a terminal of this size."""
+    troubles = _troubles(panel, now_ns)
+    beside = BESIDE + sum(-(-len(text) // columns) for text in troubles)
+    axes = _axes(panel, now_ns, columns, max(1, rows - beside))
+    return Group(_head(panel), "", axes, "", _motion(panel), "", *troubles, "", _keys(), _release(panel.releases))
+
+
+def _head(panel: JogPanel) -> RenderableType:
+    grid = Table.grid(expand=True)
+    grid.add_column(no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True)
+    lease = ("in hand", "bold cyan") if panel.leased else ("not in hand", "dim")
+    grid.add_row(
+        Text.assemble(("Jog by hand", "bold"), f"   fleet {panel.fleet}"), Text.assemble(f"{panel.axis}: ", lease)
+    )
+    return grid
+
+
+def _axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table:
+    """One row an axis; as many as there is room for, around the chosen one."""
+    gap = 2 if columns >= WIDE else 1
+    table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, gap, 0, 0), expand=True)
+    for name in ("", "axis", "position>", "velocity>", "motor", "ref.", "limit", "− room>", "+ room>"):
+        right, least = name.endswith(">"), _LEAST.get(name)
+        table.add_column(name.removesuffix(">"), justify="right" if right else "left", no_wrap=True, min_width=least)
+    table.add_column("held by", ratio=1, no_wrap=True, overflow="ellipsis")
+    names = list(panel.axes)
+    first = max(0, min(panel.chosen - room // 2, len(names) - room))
+    for name in names[first : first + room]:
+        chosen = name == panel.axis
+        table.add_row(*_row(panel, name, now_ns), style="bold" if chosen else "")
+    return table
+
+
+def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
+    now, axis = panel.now(name), panel.axes[name]
+    mark, by = "▸" if name == panel.axis else "", panel.held_by(name)
+    held_by = Text(by, style="bold cyan" if by == "you" else "yellow")
+    if now is None or _stale(panel, name, now_ns):
+        gone = "offline" if now is None else "silent"
+        return [mark, name, "-", "-", Text(gone, style="red"), "", "", "", "", held_by]
+    low, high = _room(axis, now)
+    return [
+        mark,
+        name,
+        f"{now.position:,.3f} {now.unit}",
+        f"{now.velocity:,.2f} /s",
+        Text("on", style="green") if now.enabled else Text("off", style="yellow"),
+        Text("yes", style="green") if now.referenced else Text("no", style="yellow"),
+        Text(_LIMITS[now.limit], style="bold red"),
+        low,
+        high,
+        held_by,
+    ]
+
+
+def _room(axis: Axis, now: AxisState) -> tuple[str, str]:
+    """How far it is to the soft limits, which are motor positions; unknown while the axis does not know where it is."""
+    if axis.soft_limits is None:
+        return "∞", "∞"
+    if not now.referenced:
+        return "?", "?"
+    low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
+    at = Fraction(now.motor_position)
+    return _short(float(at - low)), _short(float(high - at))
+
+
+def _short(value: float) -> str:
+    """Four figures are enough to see what is left."""
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def _motion(panel: JogPanel) -> RenderableType:
+    """What a key means now, and what it does."""
+    axis, now = panel.axes[panel.axis], panel.now(panel.axis)
+    most = panel.jog_speed(panel.axis)
+    why = "" if now is None or now.referenced else ", slow: unreferenced"
+    unit = axis.unit
+    doing = "at rest"
+    if panel.direction:
+        doing = "jogging"
+    elif now is not None and now.moving:
+        doing = "moving"
+    filled = round(panel.fraction * 20)
+    return Group(
+        Text.assemble(
+            f"{panel.axis}  ",
+            (_ARROWS[panel.direction], "bold cyan" if panel.direction else "dim"),
+            f"  {doing}",
+        ),
+        Text.assemble(
+            "speed  ",
+            ("━" * filled, "cyan"),
+            ("─" * (20 - filled), "dim"),
+            f"  {panel.fraction:.0%} = ",
+            (f"{panel.speed():.4g} {unit}/s", "bold"),
+            f" of {most:.4g} {unit}/s{why}",
+        ),
+    )
+
+
+def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
+    """What keeps axes from moving, and what was refused last."""
+    lines: list[Text] = []
+    for controller in dict.fromkeys(name.partition(".")[0] for name in panel.axes):
+        state = panel.states.get(controller)
+        if state is None:
+            continue
+        if state.estop is not None:
+            why = f": {state.estop.reason}" if state.estop.reason else ""
+            text = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
+            lines.append(Text(text, style="bold red"))
+        lines += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
+        if _stale(panel, controller, now_ns):
+            lines.append(
+                Text(f"{controller}: nothing heard for {_silent_s(panel, controller, now_ns):.0f} s", style="red")
+            )
+    if panel.refusal is not None:
+        remedy = f" → {panel.refusal.remedy}" if panel.refusal.remedy else ""
+        lines.append(Text(f"refused: {panel.refusal.text} ({panel.refusal.code}){remedy}", style="bold yellow"))
+    if panel.note:
+        lines.append(Text(panel.note, style="yellow"))
+    return lines
+
+
+def _silent_s(panel: JogPanel, name: str, now_ns: int) -> float:
+    return (now_ns - panel.seen_ns.get(name.partition(".")[0], now_ns)) / NS_PER_S
+
+
+def _stale(panel: JogPanel, name: str, now_ns: int) -> bool:
+    return _silent_s(panel, name, now_ns) > STALE_NS / NS_PER_S
+
+
+def _keys() -> RenderableType:
+    text = Text()
+    for key, meaning in (
+        ("←/→", "jog while held"),
+        ("↑/↓", "axis"),
+        ("+ - 1…9", "speed"),
+        ("space", "stop\n"),
+        ("s", "stop the fleet"),
+        ("!", "e-stop"),
+        ("q", "leave"),
+    ):
+        text.append(key, style="bold").append(f" {meaning}   ".replace("\n   ", "\n"), style="dim")
+    return text
+
+
+def _release(releases: bool) -> RenderableType:
+    if releases:
+        silent = f"{SILENT_NS / NS_PER_S:g} s"
+        text = f"Releases are reported: the axis slows down when you let go, or after {silent} without repeats."
+    else:
+        text = (
+            "Tap, or hold: this terminal reports no releases. The axis slows down within "
+            f"{WAIT_NS / NS_PER_MS:g} ms after you let go, a tap after {TAP_NS / NS_PER_MS:g} ms."
+        )
+    idle = f"After {IDLE_NS / NS_PER_S:g} s at rest others may have it."
+    return Text(f"{text} {idle}", style="dim")

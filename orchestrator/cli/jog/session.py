@@ -1,0 +1,221 @@
+"""The jog panel at work: keys from the terminal, states from the bus, requests to the bus, ten pictures a second."""
+
+import asyncio
+import contextlib
+from collections.abc import Coroutine
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from orchestrator.bus.base import Sample
+from orchestrator.cli.codes import INTERRUPTED
+from orchestrator.cli.jog.keys import Event, Focus, Key
+from orchestrator.cli.jog.panel import Action, EstopFleet, GiveBack, Halt, Jog, JogPanel, StopFleet, TakeAxis
+from orchestrator.cli.jog.screen import screen
+from orchestrator.cli.jog.terminal import ESCAPE_S, Terminal
+from orchestrator.client import Refused, Tutti
+from orchestrator.client.manual import Hand
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.live import raw_ns
+from orchestrator.model.report import Lease
+from orchestrator.model.state import ControllerState
+
+REFRESH_S = 0.1
+LEASES_S = 1.0  # for hearing who holds what already
+LEAVE_S = 2.0  # for stopping and giving back; what can not be asked by then has stopped by itself
+
+
+class JogSession:
+    """Runs `panel` while the context lasts. `ended` gets the exit code, or what went wrong."""
+
+    def __init__(self, tutti: Tutti, panel: JogPanel, terminal: Terminal, ended: "asyncio.Future[int]") -> None:
+        self._tutti = tutti
+        self._panel = panel
+        self._terminal = terminal
+        self._ended = ended
+        self._loop = asyncio.get_running_loop()
+        self._hand: Hand | None = None
+        self._leasing: asyncio.Queue[str | Hand | None] = asyncio.Queue()
+        self._leaving = False
+        self._endless: list[asyncio.Task[None]] = []
+        self._requests: set[asyncio.Task[None]] = set()
+        self._timer: asyncio.TimerHandle | None = None
+        self._escape: asyncio.TimerHandle | None = None
+
+    async def __aenter__(self) -> Self:
+        self._endless = [self._watched(work) for work in (self._listen(), self._draw())]
+        self._ask(self._lease())
+        self._loop.add_reader(self._terminal.fd_in, self._readable)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._leaving = True
+        self._loop.remove_reader(self._terminal.fd_in)
+        for timer in (self._timer, self._escape):
+            if timer is not None:
+                timer.cancel()
+        for task in self._endless:
+            task.cancel()
+        self._give_back()
+        self._leasing.put_nowait(None)
+        await asyncio.wait(self._requests, timeout=LEAVE_S)
+
+    # In
+
+    def _readable(self) -> None:
+        if self._escape is not None:
+            self._escape.cancel()
+            self._escape = None
+        events = self._terminal.read()
+        if events is None:
+            self._end(INTERRUPTED)
+            return
+        self._take(events)
+        if self._terminal.waiting:
+            self._escape = self._loop.call_later(ESCAPE_S, lambda: self._take(self._terminal.expire()))
+
+    def _take(self, events: list[Event]) -> None:
+        for event in events:
+            if isinstance(event, Key):
+                self._perform(self._panel.key(event, raw_ns()))
+            elif isinstance(event, Focus):
+                self._perform(self._panel.focus(event, raw_ns()))
+
+    async def _listen(self) -> None:
+        keys = self._tutti.keys
+        async with self._tutti.samples(keys.state(), keys.leases) as samples:
+            for state in (await self._tutti.status()).values():
+                self._panel.hear(state, raw_ns())
+            for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_S)).values():
+                self._hear(Sample(keys.leases, payload))
+            while True:
+                self._hear(await samples.get())
+
+    def _hear(self, sample: Sample) -> None:
+        # Whoever speaks another version is not shown; its axes go silent.
+        with contextlib.suppress(ValidationError):
+            if sample.key.endswith("/state"):
+                self._panel.hear(ControllerState.model_validate_json(sample.payload), raw_ns())
+            else:
+                self._panel.hear_lease(Lease.model_validate_json(sample.payload))
+
+    # Out
+
+    async def _draw(self) -> None:
+        while True:
+            columns, rows = self._terminal.size()
+            self._terminal.show(screen(self._panel, raw_ns(), columns, rows))
+            await asyncio.sleep(REFRESH_S)
+            if self._hand is not None:
+                self._see(self._hand)
+
+    def _perform(self, actions: list[Action]) -> None:
+        """Do what the panel wants, in order, and look again when it wants to."""
+        if self._leaving:
+            return
+        for action in actions:
+            if isinstance(action, TakeAxis):
+                self._leasing.put_nowait(action.axis)
+            elif isinstance(action, GiveBack):
+                self._give_back()
+            elif isinstance(action, Jog):
+                self._ask(self._jog(action))
+            elif isinstance(action, Halt):
+                self._ask(self._halt())
+            elif isinstance(action, StopFleet):
+                self._ask(self._stop_fleet())
+            elif isinstance(action, EstopFleet):
+                self._ask(self._estop_fleet())
+            else:
+                self._end(action.code)
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        due_ns = self._panel.due_ns()
+        if due_ns is not None:
+            self._timer = self._loop.call_later(max(0, due_ns - raw_ns()) / NS_PER_S, self._tick)
+
+    def _tick(self) -> None:
+        self._perform(self._panel.tick(raw_ns()))
+
+    def _give_back(self) -> None:
+        if self._hand is not None:
+            self._leasing.put_nowait(self._hand)
+            self._hand = None
+
+    async def _lease(self) -> None:
+        """Take and give back one after the other: what was given back first can be taken again. None ends it."""
+        while (wanted := await self._leasing.get()) is not None:
+            if isinstance(wanted, Hand):
+                await wanted.give_back()
+                continue
+            hand = self._tutti.by_hand([wanted], what="jog panel")
+            try:
+                await hand.take()
+            except Refused as error:
+                self._panel.not_taken(error.refusal)
+                continue
+            if self._leaving:
+                await hand.give_back()
+                continue
+            self._hand = hand
+            self._perform(self._panel.taken(hand.axes, hand.holder, raw_ns()))
+
+    async def _jog(self, jog: Jog) -> None:
+        hand, refusal = self._hand, None
+        if hand is None:
+            return
+        try:
+            await (hand.renew if jog.renew else hand.jog)({jog.axis: jog.velocity})
+        except Refused as error:
+            refusal = error.refusal
+        self._see(hand)
+        self._perform(self._panel.answered(jog, refusal, raw_ns()))
+
+    def _see(self, hand: Hand) -> None:
+        """Look whether the lease has ended early."""
+        if hand is self._hand and hand.lost is not None:
+            self._panel.lost(hand.lost)
+            self._give_back()
+
+    async def _halt(self) -> None:
+        if self._hand is not None:
+            try:
+                await self._hand.stop()
+            except Refused as error:
+                self._panel.not_halted(error.refusal)
+
+    async def _stop_fleet(self) -> None:
+        answers = await self._tutti.stop()
+        wrong = [refusal.text for refusal in answers.values() if refusal is not None]
+        self._panel.told(f"NOT STOPPED: {'; '.join(wrong)}" if wrong else f"stopped: {', '.join(answers) or 'nothing'}")
+
+    async def _estop_fleet(self) -> None:
+        latched = await self._tutti.estop("at the jog panel")
+        wrong = [controller for controller, done in latched.items() if not done]
+        if wrong or not latched:
+            self._panel.told(f"NOT LATCHED: {', '.join(wrong) or 'nobody answers'}; use the wired one")
+        else:
+            self._panel.told(f"e-stop latched: {', '.join(latched)}")
+
+    # Tasks
+
+    def _ask(self, work: Coroutine[Any, Any, None]) -> None:
+        """Something that ends by itself, and is waited for when the panel is left."""
+        task = self._watched(work)
+        self._requests.add(task)
+        task.add_done_callback(self._requests.discard)
+
+    def _watched(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
+        task = self._loop.create_task(work)
+        task.add_done_callback(self._failed)
+        return task
+
+    def _failed(self, task: "asyncio.Task[None]") -> None:
+        """A defect ends the panel; nobody jogs without seeing."""
+        if not task.cancelled() and (error := task.exception()) is not None and not self._ended.done():
+            self._ended.set_exception(error)
+
+    def _end(self, code: int) -> None:
+        if not self._ended.done():
+            self._ended.set_result(code)

@@ -1,0 +1,135 @@
+"""A terminal for a panel: every key as it comes, a screen of its own, and afterwards everything as it was."""
+
+import contextlib
+import io
+import os
+import select
+import signal
+import termios
+import time
+import tty
+from contextlib import ExitStack
+from typing import Self
+
+from rich.console import Console, RenderableType
+
+from orchestrator.cli.jog.keys import DeviceAttributes, Event, KeyboardFlags, KeyParser
+
+# How long a terminal may take to answer; one behind a slow connection takes a while, and only that waits.
+ANSWER_S = 1.0
+ESCAPE_S = 0.05  # the bytes of one key come together: after so long an ESC was the Escape key
+
+_ALTERNATE, _MAIN = "\x1b[?1049h", "\x1b[?1049l"
+_HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
+_TELL_FOCUS, _NO_FOCUS = "\x1b[?1004h", "\x1b[?1004l"
+_HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
+# The kitty keyboard protocol: 1 tells keys apart that look alike, 2 reports repeats and releases.
+_ASK_KEYBOARD, _ASK_DEVICE = "\x1b[?u", "\x1b[c"
+_RELEASES = 2
+_PUSH_KEYBOARD, _POP_KEYBOARD = f"\x1b[>{1 | _RELEASES}u", "\x1b[<u"
+
+
+class Terminal:
+    """The terminal on two descriptors, taken while the context lasts. Restored in every case but `kill -9`.
+
+    releases: it reports when a key is let go. Once it is gone (hung up), `read` gives None and writing does nothing.
+    """
+
+    def __init__(self, fd_in: int, fd_out: int) -> None:
+        self.fd_in = fd_in
+        self.releases = False
+        self._fd_out = fd_out
+        self._parser = KeyParser()
+        self._restore = ExitStack()
+        self._image = io.StringIO()
+        self._console = Console(file=self._image, force_terminal=True, highlight=False)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as restore:
+            before = termios.tcgetattr(self.fd_in)
+            restore.callback(self._set, before)
+            tty.setraw(self.fd_in)
+            # A held key is not heard in the background.
+            restore.callback(signal.signal, signal.SIGTSTP, signal.signal(signal.SIGTSTP, signal.SIG_IGN))
+            restore.callback(self.write, _SHOW + _MAIN)
+            self.write(_ALTERNATE + _HIDE + _TELL_FOCUS)
+            # Before the screen is left: main and alternate screen have keyboards of their own.
+            restore.callback(self.write, _NO_FOCUS)
+            if self._asked("") is not None:
+                restore.callback(self.write, _POP_KEYBOARD)
+                flags = self._asked(_PUSH_KEYBOARD)
+                self.releases = flags is not None and bool(flags & _RELEASES)
+            self._restore = restore.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._restore.close()
+
+    # In
+
+    def read(self) -> list[Event] | None:
+        """What has come; None when the terminal is gone."""
+        try:
+            data = os.read(self.fd_in, 4096)
+        except OSError:
+            return None
+        return self._parser.feed(data) if data else None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a sequence has begun: call `expire` after `ESCAPE_S` without more."""
+        return self._parser.waiting
+
+    def expire(self) -> list[Event]:
+        """What has begun is no sequence."""
+        return self._parser.expire()
+
+    # Out
+
+    def size(self) -> tuple[int, int]:
+        """Columns and rows now."""
+        try:
+            columns, rows = os.get_terminal_size(self._fd_out)
+        except OSError:
+            return 80, 24
+        return columns or 80, rows or 24
+
+    def show(self, image: RenderableType) -> None:
+        """Fill the screen; what is too long or too wide is cut off."""
+        columns, rows = self.size()
+        self._image.seek(0)
+        self._image.truncate()
+        self._console.print(image, width=columns, overflow="ellipsis")
+        lines = self._image.getvalue().splitlines()[:rows]
+        self.write(_HOME + f"{_REST_OF_LINE}\r\n".join(lines) + _REST_OF_LINE + _REST_OF_SCREEN)
+
+    def write(self, text: str) -> None:
+        """Write all of it, or nothing when the terminal is gone."""
+        data = text.encode()
+        with contextlib.suppress(OSError):
+            while data:
+                data = data[os.write(self._fd_out, data) :]
+
+    # Inside
+
+    def _set(self, mode: "list[int | list[bytes | int]]") -> None:
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(self.fd_in, termios.TCSAFLUSH, mode)
+
+    def _asked(self, first: str) -> int | None:
+        """Flags of the keyboard protocol after `first`; None where the terminal answers, but not for that, or never."""
+        self.write(first + _ASK_KEYBOARD + _ASK_DEVICE)
+        flags: int | None = None
+        give_up_s = time.monotonic() + ANSWER_S
+        while (left_s := give_up_s - time.monotonic()) > 0:
+            if not select.select([self.fd_in], [], [], left_s)[0]:
+                break
+            events = self.read()
+            if events is None:
+                break
+            for event in events:
+                if isinstance(event, KeyboardFlags):
+                    flags = event.flags
+                elif isinstance(event, DeviceAttributes):
+                    return flags
+        return flags

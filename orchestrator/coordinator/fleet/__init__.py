@@ -1,0 +1,1 @@
+"""The coordinator's view of the fleet: states, requests, leases and permits."""

@@ -1,0 +1,1 @@
+"""Job intake, queue and execution."""

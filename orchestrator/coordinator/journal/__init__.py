@@ -1,0 +1,1 @@
+"""The journal: accepted jobs, decisions and reports in SQLite."""

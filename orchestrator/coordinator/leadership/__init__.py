@@ -1,0 +1,1 @@
+"""Which coordinator leads the fleet."""

@@ -1,0 +1,1 @@
+"""Wiring check and reload of the fleet file."""

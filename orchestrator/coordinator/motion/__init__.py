@@ -1,0 +1,1 @@
+"""Synchronised motion steps."""

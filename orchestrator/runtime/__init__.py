@@ -1,0 +1,1 @@
+"""Whole fleets: live on this machine or in virtual time."""

@@ -1,0 +1,375 @@
+"""A fleet live on this machine: router, simulators, adapter hosts under guardians, coordinator, as child processes.
+
+A child that dies is started again with growing pauses. Children have sessions of their own, so that Ctrl-C reaches
+only this process, which ends them in order: the coordinator first, because it stops what moves. When this process is
+killed they end by themselves: the kernel tells those that know their parent, simulators see their input closed.
+"""
+
+import asyncio
+import fcntl
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from typing import TextIO
+
+from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, by_line
+from orchestrator.runtime.bridge import bridge_baud
+from orchestrator.runtime.leader_probe import reigning
+from sim.link.arguments import NEXT
+
+READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
+END_S = 8.0
+RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+# These ends are final: starting again would give the same (bad input, port or reign taken, journal of no use).
+FINAL = frozenset({2, 4, 5})
+TAKEN = 4  # of the router: somebody else listens there
+STANDBY = "coordinator/standby"
+# Of the coordinator, once it has reigned: another does now, and the adapter hosts are at its service.
+DEPOSED = frozenset({4, 6})
+TOGETHER = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
+# What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
+_FOUND = {
+    "tcp": ("host", "port"),
+    "udp": ("host", "port"),
+    "serial": ("device",),
+    "can": ("interface", "channel"),
+}
+
+Say = Callable[[str], None]
+
+
+class UpFailed(Exception):
+    """The fleet can not be brought up. Says which part, why, and what to do."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One process of the fleet. ready: the lines, as many as it tells, with which it says that it is."""
+
+    name: str
+    command: Sequence[str]
+    log: Path
+    tells: int = 1
+    process: asyncio.subprocess.Process | None = None
+    starts: int = 0
+    ready: Sequence[str] = ()
+    ended: bool = False
+    keeper: "asyncio.Task[None] | None" = None
+
+    @property
+    def pid(self) -> int:
+        """Process id of the present start."""
+        return self.process.pid if self.process else 0
+
+    @property
+    def code(self) -> int | None:
+        """Exit code of the present start; None while it runs."""
+        return self.process.returncode if self.process else None
+
+    def last_word(self) -> str:
+        """The last line that it wrote to standard error; "" when it wrote none."""
+        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return said[-1] if said else ""
+
+
+@dataclass(slots=True)
+class LiveFleet:
+    """Everything that `tutti up` runs. `say` gets lines for people.
+
+    connect: a router that is there; without it one is started on `port`. simulated: every link is replaced by that of
+    a simulated controller. truth: simulators write what they really did to `state`/truth. standby: a second
+    coordinator takes over when the first one dies or hangs.
+    """
+
+    fleet: Fleet
+    state: Path
+    say: Say
+    connect: str = ""
+    port: int = 7447
+    simulated: bool = False
+    take_over: bool = False
+    truth: bool = False
+    standby: bool = False
+    children: dict[str, Child] = field(default_factory=dict[str, Child])
+    failed: "asyncio.Future[str] | None" = None
+    _lock: TextIO | None = None
+
+    async def start(self) -> None:
+        """Bring everything up, in order. Raises `UpFailed`; then nothing is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._take_folder()
+            await self._route()
+            if self.simulated:
+                await self._simulate()
+            file = self.state / "fleet.json"
+            file.write_text(self.fleet.model_dump_json(), encoding="utf-8")
+            for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
+                await self._start_child(f"host/{host}", self._host_command(host, file))
+            coordinator = await self._start_child("coordinator", self._coordinator_command(file))
+            if self.standby:
+                # Whichever of the two is started again stands by behind the other one.
+                coordinator.command = [*coordinator.command, "--standby"]
+                await self._start_child(STANDBY, coordinator.command)
+        except BaseException:
+            await self.close()
+            raise
+
+    def tell_simulator(self, controller: str, **change: object) -> None:
+        """Change the physical world of a simulated controller, e.g. `input=(1, True)`; see `sim/link/world.py`."""
+        pipe = os.open(world_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
+        with os.fdopen(pipe, "wb") as line:
+            line.write(json.dumps(change).encode() + b"\n")
+
+    async def close(self) -> None:
+        """End all children, the coordinator first and the router last."""
+        # Both coordinators at once: the one that stands by must not take over from the other.
+        both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
+        await asyncio.gather(*(self._end(child) for child in both))
+        order = ["coordinator", "host", "sim", "router"]
+        for child in sorted(self.children.values(), key=lambda each: order.index(each.name.partition("/")[0])):
+            await self._end(child)
+        if self._lock is not None:
+            self._lock.close()
+
+    # Parts
+
+    def _take_folder(self) -> None:
+        """Two fleets with one journal, or one set of simulated ports, would spoil each other."""
+        try:
+            self.state.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.state / "lock").open("w")
+        except OSError as error:
+            raise UpFailed(f"{self.state} can not be used: {error.strerror}; choose another folder: --state") from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UpFailed(
+                f"another `tutti up` uses {self.state}; end that one, or choose another folder: --state"
+            ) from None
+
+    async def _simulate(self) -> None:
+        """Replace every link by that of a simulated controller."""
+        controllers: dict[str, Controller] = {}
+        for lines in _together(self.fleet):
+            command = [sys.executable, "-m", "sim.link.process"]
+            for names in lines:
+                command += [*([NEXT] if names is not lines[0] else []), *self._simulator_arguments(names)]
+            child = await self._start_child(f"sim/{'+'.join(chain(*lines))}", command, len(lines))
+            for names, ready in zip(lines, child.ready, strict=True):
+                place = json.loads(ready)
+                for name in names:
+                    config = self.fleet.controllers[name]
+                    link = config.link.model_copy(update={field: place[field] for field in _FOUND[config.link.kind]})
+                    simulate = config.simulate.model_copy(update={"link": link})
+                    controllers[name] = config.model_copy(update={"simulate": simulate})
+                    self.say(f"{name}: simulated {config.adapter} on {link.place}")
+        for each in self.fleet.connections:
+            self.tell_simulator(each.target, input=(each.feeds.number, each.level(False)))
+        self.fleet = self.fleet.model_copy(
+            update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
+        )
+
+    async def _route(self) -> None:
+        if self.connect:
+            other = None if self.take_over else await reigning(self.connect, self.fleet.fleet)
+            if other is not None:
+                # Asked before adapter hosts are started, which would be second drivers of the same controllers.
+                raise UpFailed(
+                    f"coordinator {other.coordinator[:8]} reigns in fleet {self.fleet.fleet} (epoch {other.epoch}) "
+                    f"on {self.connect}; end its `tutti up` first, or start with --take-over"
+                )
+            return
+        endpoint = f"tcp/127.0.0.1:{self.port}"
+        module = "orchestrator.bus.zenoh.router"
+        try:
+            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid())])
+        except UpFailed:
+            if self.children["router"].code != TAKEN:
+                raise
+            raise UpFailed(
+                f"port {self.port} of 127.0.0.1 is in use; choose another for the router: --port {self.port + 1}; or, "
+                f"if a router listens there, use it: --connect {endpoint}"
+            ) from None
+        self.connect = endpoint
+        self.say(f"router on {endpoint}")
+
+    def _simulator_arguments(self, names: Sequence[str]) -> list[str]:
+        """For the controllers of one line."""
+        name, config = "+".join(names), self.fleet.controllers[names[0]]
+        if isinstance(config.link, CanBusLink):
+            listen = ["--listen", f"pty:{self.state / 'ports' / name}"]
+        elif isinstance(config.link, SerialLink):
+            # What was listened on before is listened on again after a restart: the symlink is stable.
+            listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
+            listen += ["--frame", frame(config.link)]
+        else:
+            listen = ["--listen", f"{config.link.kind}:127.0.0.1:{free_port()}", "--baud", str(bridge_baud(config))]
+        arguments = ["--model", config.adapter, "--name", name, *listen]
+        for each in names:
+            arguments += ["--unit", json.dumps(self._simulated_unit(each))]
+        return arguments
+
+    def _simulated_unit(self, name: str) -> dict[str, object]:
+        """What `--unit` says of a controller."""
+        config = self.fleet.controllers[name]
+        link, simulate = config.link, config.simulate
+        return {
+            "name": name,
+            "address": link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+            "options": {"bitrate": link.bitrate, **simulate.options}
+            if isinstance(link, CanBusLink)
+            else simulate.options,
+            "timing": {"decode_ns": simulate.decode_us * 1000, "spread_ns": simulate.spread_us * 1000},
+            "oscillator": {
+                "offset_ns": round(simulate.offset_s * 1e9),
+                "drift_ppm": simulate.drift_ppm,
+                "wander_ppm": simulate.wander_ppm,
+            },
+            "world": str(world_pipe(self.state, name)),
+            "truth": str(self.state / "truth" / f"{name}.jsonl") if self.truth else None,
+            "wires": [
+                {
+                    "output": each.driven_by.number,
+                    "world": str(world_pipe(self.state, each.target)),
+                    "input": each.feeds.number,
+                    "level_when_on": each.level(True),
+                    "delay_us": sum(each.delay_us) // 2,
+                }
+                for each in self.fleet.connections
+                if each.source == name
+            ],
+        }
+
+    def _host_command(self, host: str, file: Path) -> list[str]:
+        command = [sys.executable, "-m", "adapters.host.guardian", "--fleet", str(file), "--host", host]
+        command += ["--connect", self.connect, "--state", str(self.state / "adapters"), "--parent", str(os.getpid())]
+        return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
+
+    def _coordinator_command(self, file: Path) -> list[str]:
+        command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
+        command += ["--connect", self.connect, "--journal", str(self.state / "journal.sqlite3")]
+        command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
+        return [*command, "--take-over"] if self.take_over else command
+
+    # Children
+
+    async def _start_child(self, name: str, command: Sequence[str], tells: int = 1) -> Child:
+        log = self.state / "log" / f"{name.replace('/', '-')}.err"
+        child = self.children[name] = Child(name, command, log, tells)
+        await self._spawn(child)
+        child.keeper = asyncio.get_running_loop().create_task(self._keep(child))
+        return child
+
+    async def _spawn(self, child: Child) -> None:
+        """Start the process and wait for its first lines. Raises `UpFailed` with what it said."""
+        child.log.parent.mkdir(parents=True, exist_ok=True)
+        with child.log.open("ab") as errors:
+            child.process = await asyncio.create_subprocess_exec(
+                *child.command,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+            )
+        child.starts += 1
+        assert child.process.stdout is not None
+        try:
+            async with asyncio.timeout(READY_S):
+                lines = [await child.process.stdout.readline() for _ in range(child.tells)]
+        except TimeoutError:
+            raise UpFailed(f"{child.name} is not ready after {READY_S:g} s; see {child.log}") from None
+        if not all(lines):
+            how = _how(await child.process.wait())
+            raise UpFailed(f"{child.name} ended ({how}): {child.last_word() or f'see {child.log}'}")
+        child.ready = [line.decode().strip() for line in lines]
+
+    async def _keep(self, child: Child) -> None:
+        """Start a dead child again, unless it ended for good."""
+        while True:
+            assert child.process is not None
+            code = await child.process.wait()
+            if child.ended:
+                return
+            if child.name == "coordinator" and code in DEPOSED and not self.standby:
+                self.say(f"{child.name} is deposed, another coordinator reigns; the adapter hosts here serve that one")
+                return
+            if code in FINAL:
+                self._fail(f"{child.name} ended: {child.last_word() or f'exit code {code}'}")
+                return
+            pause_s = RESTART_S[min(child.starts, len(RESTART_S)) - 1]
+            self.say(f"{child.name} ended ({_how(code)}); starting it again in {pause_s:g} s")
+            await asyncio.sleep(pause_s)
+            if child.ended:
+                return
+            try:
+                await self._spawn(child)
+            except UpFailed as error:
+                self.say(str(error))
+                if child.process.returncode is None:
+                    child.process.kill()
+
+    def _fail(self, text: str) -> None:
+        self.say(text)
+        if self.failed is not None and not self.failed.done():
+            self.failed.set_result(text)
+
+    async def _end(self, child: Child) -> None:
+        child.ended = True
+        process = child.process
+        if process is not None and process.returncode is None:
+            # In this order: a signal to a child that has just ended takes its exit code from asyncio's watcher.
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(signal.SIGTERM)
+            try:
+                async with asyncio.timeout(END_S):
+                    await process.wait()
+            except TimeoutError:
+                self.say(f"{child.name} did not end within {END_S:g} s and is killed")
+                process.kill()
+                await process.wait()
+        if child.keeper is not None:
+            child.keeper.cancel()
+
+
+def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
+    """The lines of which a process each simulates the controllers. Those of one make on Ethernet share some: a process
+    that was asleep is woken for each exchange, finds the caches filled by others, and takes several times as long."""
+    ethernet: dict[str, list[list[str]]] = {}
+    for names in by_line(fleet):
+        config = fleet.controllers[names[0]]
+        if isinstance(config.link, SerialLink | CanBusLink):
+            yield [names]
+        else:
+            ethernet.setdefault(config.adapter, []).append(names)
+    for lines in ethernet.values():
+        for at in range(0, len(lines), TOGETHER):
+            yield lines[at : at + TOGETHER]
+
+
+def world_pipe(state: Path, controller: str) -> Path:
+    """Where lines that change the physical world of a simulated controller are written to."""
+    return state / "world" / controller
+
+
+def frame(link: SerialLink) -> str:
+    """Data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
+    return f"{link.data_bits}{link.parity[0].upper()}{link.stop_bits}"
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _how(code: int) -> str:
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"

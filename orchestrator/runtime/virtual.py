@@ -1,0 +1,359 @@
+"""A whole fleet in virtual time: simulators, wires, adapter hosts with a guardian, coordinators, one bus.
+
+Each part is a process of its own (`Process`), so that it can be frozen and killed like one.
+"""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Sequence
+from contextvars import Context, copy_context
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any, TypeVar
+
+from adapters.controller.store import MemoryStore
+from adapters.host.host import AdapterHost, Surroundings, stops_by_line
+from adapters.toolkit.firing import LoopFirer
+from orchestrator.bus.base import Bus
+from orchestrator.bus.keys import Keys
+from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
+from orchestrator.bus.memory.medium import Latency
+from orchestrator.client.api import Tutti
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.executor import inline
+from orchestrator.clock.virtual import Process, VirtualClock
+from orchestrator.coordinator.coordinator import Coordinator, Court
+from orchestrator.coordinator.journal.journal import Journal, JournalError
+from orchestrator.coordinator.leadership.leadership import AnotherReigns
+from orchestrator.coordinator.leadership.standby import vacancy
+from orchestrator.link.base import LinkRefused, OpenLink
+from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
+from orchestrator.model.fleet import CanBusLink, Connection, Controller, Fleet, SerialLink, by_line
+from orchestrator.model.state import ControllerState
+from orchestrator.runtime.bridge import network
+from sim.core.controller import Branch, Port, SimulatedController, Timing, build_line
+from sim.core.oscillator import Oscillator
+from sim.core.vectors import simulator
+
+# What the bus takes live, through a router on one machine (measured: 0.3 ms a sample, 0.8 ms a request).
+BUS_LATENCY = Latency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, most_ns=600 * NS_PER_US)
+HUNG_NS = 300 * NS_PER_MS  # a guardian's patience
+RESTART_NS = 200 * NS_PER_MS
+WAKE_NS = 60 * NS_PER_US  # the firing process wakes up to so late
+JOURNAL_READS = frozenset(
+    (
+        "decisions",
+        "find",
+        "job",
+        "knows",
+        "recording",
+        "report",
+        "require_reign",
+        "reserved",
+        "row",
+        "transitions",
+        "unended",
+    )
+)
+
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class _Host:
+    """An adapter host and the number of its start."""
+
+    name: str
+    process: Process
+    links: list[MemoryLink] = field(default_factory=list[MemoryLink])
+
+
+class VirtualFleet:
+    """`fleet` simulated as a whole; everything random in it comes from `seed`. Make it outside every process.
+
+    wired: how the world is really wired, where that is not as the fleet file says. beside: puts somebody who listens
+    between a coordinator and the bus.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        clock: VirtualClock,
+        seed: int = 0,
+        guardian: bool = True,
+        wired: Fleet | None = None,
+        beside: Callable[[MemoryBus], Bus] = lambda bus: bus,
+    ) -> None:
+        self.fleet = fleet
+        self.clock = clock
+        self.net = MemoryNet(clock, seed=seed, latency=BUS_LATENCY)
+        self.keys = Keys(fleet.fleet)
+        self.lines: list[str] = []
+        self.journal = Journal(":memory:")
+        self.controllers: dict[str, SimulatedController] = {}
+        self.wires: dict[str, MemoryWire] = {}
+        self.crystals: dict[str, Oscillator] = {}
+        self.simulators: dict[str, Process] = {}
+        self.hosts: dict[str, _Host] = {}
+        self.coordinators: dict[str, tuple[Process, Coordinator]] = {}
+        self.disk_full = False
+        self._guardian = guardian
+        self._beside = beside
+        self._draw = Random(seed)
+        self._stores: dict[str, MemoryStore] = {}
+        self._starts = 0
+        for names in by_line(fleet):
+            self._simulate(names)
+        for connection in (wired or fleet).connections:
+            self._connect(connection)
+
+    # The fleet's life
+
+    async def start(self) -> None:
+        """Start all adapter hosts and one coordinator; returns when every controller is adopted and idle."""
+        for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
+            self.start_host(host)
+        self.start_coordinator("first")
+        await self.until(lambda states: all(state.epoch and state.mode == "idle" for state in states.values()))
+
+    async def until(
+        self, holds: Callable[[dict[str, ControllerState]], bool], limit_s: float = 60.0
+    ) -> dict[str, ControllerState]:
+        """Wait until `holds` is true of the states of all controllers. Raises `TimeoutError` with what they are."""
+        client = self.client("until")
+        states: dict[str, ControllerState] = {}
+        try:
+            async with asyncio.timeout(limit_s):
+                while True:
+                    states = await client.status()
+                    if len(states) == len(self.fleet.controllers) and holds(states):
+                        return states
+                    await sleep_ns(self.clock, 50 * NS_PER_MS)
+        except TimeoutError:
+            shown = {name: (state.mode, state.epoch, state.faults) for name, state in states.items()}
+            raise TimeoutError(f"after {limit_s} s the states are {shown}") from None
+        finally:
+            await client.close()
+
+    def client(self, name: str = "client") -> Tutti:
+        """A client of the fleet, with a place of its own on the bus."""
+        return Tutti(self.net.join(self._fresh(name)), self.fleet.fleet, name, self.new_id)
+
+    def new_id(self) -> str:
+        return f"{self._draw.getrandbits(128):032x}"
+
+    # Simulated controllers
+
+    def _simulate(self, names: Sequence[str]) -> None:
+        """The controllers of one line: one process, one wire."""
+        config = self.fleet.controllers[names[0]]
+        process = Process(self.clock.loop, f"sim/{'+'.join(names)}")
+        units = {name: self._branch(self.fleet.controllers[name]) for name in names}
+        line = process.run(lambda: build_line(simulator(config.adapter), self.clock, units))
+        link = config.link
+        wire = MemoryWire(
+            clock=self.clock,
+            model=_wire(config, line.far),
+            far=line.far,
+            port=link.kind if link.kind in line.far.ports else line.far.ports[0],
+            place=link.place,
+            far_context=process.run(copy_context),
+            seed=units[names[0]].seed,
+        )
+        for name in names:
+            self.simulators[name], self.controllers[name], self.wires[name] = process, line.units[name], wire
+            self.crystals[name] = units[name].oscillator
+
+    def _branch(self, config: Controller) -> Branch:
+        link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
+        return Branch(
+            address=link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+            options={"bitrate": link.bitrate, **simulate.options} if isinstance(link, CanBusLink) else simulate.options,
+            oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
+            timing=Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
+            seed=seed,
+        )
+
+    def _connect(self, connection: Connection) -> None:
+        """Have an input follow an output, some time later; the delay of each wire is its own, within its bounds."""
+        least_ns, most_ns = (each * NS_PER_US for each in connection.delay_us)
+        delay_ns = self._draw.randint(least_ns, most_ns)
+        source, number = self.controllers[connection.source], connection.driven_by.number
+
+        def feed(on: bool) -> None:
+            level = connection.level(on)
+            self.within(connection.target, lambda unit: unit.set_input(connection.feeds.number, level))
+
+        def changed(output: int, on: bool) -> None:
+            if output == number:
+                # A wire belongs to no process.
+                self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: feed(on), context=Context())
+
+        self.within(connection.source, lambda unit: unit.on_output(changed))
+        feed(source.output(number))
+
+    def within(self, controller: str, action: Callable[[SimulatedController], None]) -> None:
+        """Do something to a simulated controller's physical world, as a part of its own process."""
+        self.simulators[controller].run(lambda: action(self.controllers[controller]))
+
+    # Adapter hosts
+
+    def start_host(self, name: str) -> None:
+        """Start (again) the adapter host `name`; with a guardian, it is watched from now on."""
+        label = self._fresh(f"host-{name}")
+        process = Process(self.clock.loop, label)
+        host = self.hosts[name] = _Host(name, process)
+        bus = self.net.join(label)
+
+        def open_link(controller: str, config: Controller) -> OpenLink:
+            async def opened() -> MemoryLink:
+                link = await self.wires[controller].open()
+                host.links.append(link)
+                return link
+
+            return opened
+
+        draw = Random(self._draw.getrandbits(32))
+        around = Surroundings(
+            bus=bus,
+            keys=self.keys,
+            clock=self.clock,
+            firer=LoopFirer(self.clock, lambda: draw.randrange(WAKE_NS)),
+            open_link=open_link,
+            store=lambda controller: self._stores.setdefault(controller, MemoryStore()),
+            runs=inline,
+            sink=self.lines.append,
+            instance=label,
+        )
+        process.on_death(lambda: self._reap(host, label))
+
+        async def run() -> None:
+            await AdapterHost(name, self.fleet, around).start()
+
+        process.start(run())
+        if self._guardian:
+            self._kernel(self._guard(host))
+
+    def _reap(self, host: _Host, label: str) -> None:
+        """What the kernel does for a dead host."""
+        self.net.kill(label)
+        for link in host.links:
+            link.hang_up()
+
+    async def _guard(self, host: _Host) -> None:
+        """The guardian: a dead or hung host is ended, its controllers are stopped, and it is started again."""
+        while host.process.alive and not host.process.frozen:
+            await sleep_ns(self.clock, 50 * NS_PER_MS)
+        await sleep_ns(self.clock, HUNG_NS)
+        if host.process.alive and not host.process.frozen:
+            self._kernel(self._guard(host))
+            return
+        host.process.kill()
+        await sleep_ns(self.clock, NS_PER_MS)
+        mine = {name: config for name, config in self.fleet.controllers.items() if config.host == host.name}
+        await asyncio.gather(*(self._stop_by_hand(names[0], stop) for names, stop in stops_by_line(mine)))
+        await sleep_ns(self.clock, RESTART_NS)
+        self.start_host(host.name)
+
+    async def _stop_by_hand(self, name: str, stop: bytes) -> None:
+        """Stop everything that is on the line of a controller."""
+        try:
+            link = await self.wires[name].open()
+        except LinkRefused:
+            return
+        link.write(stop)
+        await sleep_ns(self.clock, 50 * NS_PER_MS)
+        await link.close()
+
+    # Coordinators
+
+    def start_coordinator(self, name: str, take_over: bool = False, standby: bool = False) -> Process:
+        """Start a coordinator on the fleet's journal. What it raises at its start stands in `lines`. standby: it reigns
+        as soon as nobody else does, and ends who did."""
+        label = self._fresh(f"coordinator-{name}")
+        process = Process(self.clock.loop, label)
+        bus = self.net.join(label)
+        coordinator = process.run(lambda: Coordinator(self.fleet, self._court(bus)))
+        self.coordinators[name] = (process, coordinator)
+        process.on_death(lambda: self.net.kill(label))
+
+        async def run() -> None:
+            try:
+                if standby:
+                    await vacancy(bus, self.keys, self.clock)
+                    for other, (silent, _) in self.coordinators.items():
+                        if other != name and silent.alive:
+                            silent.kill()
+                await coordinator.start(take_over, vacant=standby)
+            except AnotherReigns as error:
+                self.lines.append(str(error))
+
+        process.start(run())
+        return process
+
+    def _court(self, bus: MemoryBus) -> Court:
+        return Court(
+            bus=self._beside(bus),
+            keys=self.keys,
+            clock=self.clock,
+            journal=self.journal,
+            runs=self._runs,
+            new_id=self.new_id,
+            sink=self.lines.append,
+            save_fleet=self._take_fleet,
+        )
+
+    async def _runs(self, function: Callable[..., T], *values: Any) -> T:
+        """The journal's calls; those that change it fail while its disk is full."""
+        if self.disk_full and function.__name__ not in JOURNAL_READS:
+            raise JournalError("the journal can not be used (database or disk is full)", "make room on its disk")
+        return await inline(function, *values)
+
+    def _take_fleet(self, fleet: Fleet) -> None:
+        """The fleet file that hosts and coordinators which start from now on are given."""
+        self.fleet = fleet
+
+    # Processes by name, for faults
+
+    def process(self, name: str) -> Process:
+        """`host/NAME`, `coordinator/NAME` or `sim/NAME`, as it runs now."""
+        kind, _, rest = name.partition("/")
+        if kind == "host":
+            return self.hosts[rest].process
+        return self.coordinators[rest][0] if kind == "coordinator" else self.simulators[rest]
+
+    def freeze(self, name: str) -> None:
+        """Like SIGSTOP."""
+        process = self.process(name)
+        process.freeze()
+        if not name.startswith("sim/"):
+            self.net.hang(process.name)
+
+    def resume(self, name: str) -> None:
+        """Like SIGCONT."""
+        process = self.process(name)
+        if process.alive:
+            process.resume()
+            if not name.startswith("sim/"):
+                self.net.resume(process.name)
+
+    def kill(self, name: str) -> None:
+        """Like SIGKILL."""
+        self.process(name).kill()
+
+    def _fresh(self, name: str) -> str:
+        self._starts += 1
+        return f"{name}-{self._starts}"
+
+    def _kernel(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        """Run `coroutine` outside every process."""
+        Context().run(self.clock.loop.create_task, coroutine)
+
+
+def _wire(config: Controller, far: Port) -> WireModel:
+    """The wire from an adapter host to what a controller is on."""
+    hold_ns = round(config.simulate.hold_ms * NS_PER_MS)
+    if isinstance(config.link, SerialLink):
+        return serial_wire(config.link.baud, hold_ns=hold_ns)
+    if isinstance(config.link, CanBusLink):
+        return can_wire(hold_ns)
+    return network(config, far)

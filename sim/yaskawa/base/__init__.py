@@ -1,0 +1,1 @@
+"""Values, units and errors of the simulated Yaskawa controllers."""

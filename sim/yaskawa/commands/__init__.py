@@ -1,0 +1,1 @@
+"""The commands, by chapter of the manual."""

@@ -1,0 +1,106 @@
+"""Arguments of commands: axis letters, fields by position, one axis by letter (L2111-L2169, L12242-L12311)."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from sim.yaskawa.base.errors import CommandError
+from sim.yaskawa.language.expressions import Evaluator, compile_expression
+
+if TYPE_CHECKING:
+    from sim.yaskawa.language.context import Context
+
+QUERY: Final = "?"
+LETTERS: Final = "XYZWEFGH"
+"""Of all axes that a model of the family can have; which ones a unit has shows when a command is run."""
+_SAME: Final = {"A": "X", "B": "Y", "C": "Z", "D": "W"}
+
+Field = Evaluator | str | None
+"""What stands in one field: an expression, `QUERY`, or nothing."""
+
+
+def canonical(letter: str) -> str:
+    """The one name of an axis: A B C D are X Y Z W (L2111)."""
+    return _SAME.get(letter, letter)
+
+
+def split(text: str, separator: str = ",") -> list[str]:
+    """`text` split at separators that stand outside quotes and brackets."""
+    parts: list[str] = []
+    start = depth = 0
+    quoted = False
+    for position, character in enumerate(text):
+        if character == '"':
+            quoted = not quoted
+        elif quoted:
+            continue
+        elif character in "([{":
+            depth += 1
+        elif character in ")]}":
+            depth -= 1
+        elif character == separator and depth <= 0:
+            parts.append(text[start:position])
+            start = position + 1
+    parts.append(text[start:])
+    return parts
+
+
+def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
+    """The designators in a list of letters, `~a` kept as it is; none given gives an empty tuple."""
+    found: list[str] = []
+    position = 0
+    while position < len(text):
+        if text[position] == "~" and position + 1 < len(text):
+            found.append(text[position : position + 2])
+            position += 2
+            continue
+        name = canonical(text[position])
+        if name not in allowed:
+            raise CommandError(28 if name in "ST" else 4)
+        found.append(name)
+        position += 1
+    return tuple(found)
+
+
+def questioned(text: str) -> tuple[str, ...]:
+    """The axes that fields of `?` name; 4 when there is anything else in them."""
+    marks = split(text)
+    if len(marks) > len(LETTERS) or any(mark not in ("", "?") for mark in marks):
+        raise CommandError(4)
+    return tuple(LETTERS[index] for index, mark in enumerate(marks) if mark)
+
+
+def parse_field(text: str) -> Field:
+    if not text:
+        return None
+    return QUERY if text == "?" else compile_expression(text)
+
+
+def parse_fields(text: str, most: int = len(LETTERS)) -> list[Field]:
+    """Fields by position."""
+    parts = split(text)
+    if len(parts) > most:
+        raise CommandError(4)
+    return [parse_field(part) for part in parts]
+
+
+def parse_form(text: str, letters: str = LETTERS) -> list[tuple[str, Field]]:
+    """One of the four forms of an axis parameter: pairs of designator (`*` for all) and field."""
+    if text[:1] == "~" and text[2:3] == "=":
+        return [(text[:2], parse_field(text[3:]))]
+    if text[1:2] == "=":
+        name = canonical(text[0])
+        if name != "*" and name not in letters + "N":
+            raise CommandError(4)
+        return [(name, parse_field(text[2:]))]
+    fields = parse_fields(text, len(letters))
+    return [(letters[index], field) for index, field in enumerate(fields) if field is not None]
+
+
+def values(fields: list[Field]) -> Callable[["Context"], list[int | None]]:
+    """The fields' values when run; interrogation is not valid there."""
+    evaluators: list[Evaluator | None] = []
+    for field in fields:
+        if isinstance(field, str):
+            raise CommandError(51)
+        evaluators.append(field)
+    return lambda c: [None if evaluator is None else evaluator(c) for evaluator in evaluators]

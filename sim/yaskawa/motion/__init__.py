@@ -1,0 +1,1 @@
+"""Motion of axes in closed form."""

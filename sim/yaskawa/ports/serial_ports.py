@@ -1,0 +1,191 @@
+"""Serial ports of the SMC-2000: the main one with echo, `%A` and `!`, and the general one (L829-L1011)."""
+
+import re
+
+from sim.yaskawa.language.statements import Statement, compile_line
+from sim.yaskawa.ports.ports import Port
+from sim.yaskawa.program.entry import OperatorEntry
+
+BUFFER = 256
+"""Characters that wait while the interpreter is held; what comes beyond is lost, with error 5 (D13)."""
+_ESCAPE = "\x1b"
+HEARD, MUTED = 1, 0
+_COMMAND = re.compile(r'[^\r;"\n\x12]*[\r;]')
+"""One command with its terminator, and nothing in it that means more than itself."""
+
+
+class CommandPort(Port):
+    """Port 1. Each command runs when its own terminator has come (D3), and the rest of a line runs after an error (D4).
+
+    A unit of a daisy chain takes commands between its own `%A` and another's. One with `!` is taken by all; only
+    address 0 echoes and answers it (L945-L949). A line that begins with `%` is echoed by the unit selected so far.
+    """
+
+    _muted = False
+    _quoted = False
+    _fresh = True
+    """Nothing of the present line has come yet."""
+
+    def receive(self, data: bytes) -> None:
+        if not self.open:
+            return
+        machine = self.machine
+        entry = machine.entries["S"]
+        text = data.decode("latin-1")
+        whole = self._takes_whole(text, entry)
+        self._fresh = self._fresh or whole
+        if whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
+            return  # another unit's, as most of what passes on a chain
+        machine.look()
+        if whole:
+            self._append(text[:-1])
+            self._end_line(HEARD)
+            machine.go_on()
+            return
+        for character in text:
+            if machine.echo or machine.interrupting_on or entry.enabled:
+                self._arrive(character, entry)
+            else:
+                self._fresh = character in "\r;"
+                self._packets.append((character, HEARD))
+                self.feed()
+        self.feed()
+        machine.go_on()
+
+    def _takes_whole(self, text: str, entry: OperatorEntry) -> bool:
+        """Whether `text` is a command that does not have to be looked at character by character."""
+        machine = self.machine
+        return (
+            not (machine.echo or machine.interrupting_on or entry.enabled or self._packets)
+            and not (self._control or self._quoted or self._holds() or self.download is not None)
+            and _COMMAND.fullmatch(text) is not None
+        )
+
+    def _arrive(self, character: str, entry: OperatorEntry) -> None:
+        machine = self.machine
+        if self._echoes(character):
+            self.emit(character)
+        mode = machine.interrupting["S"]
+        if entry.enabled:
+            if character in ("\\", _ESCAPE):
+                entry.enable(False)
+                return
+            entry.take(character)
+        else:
+            self._packets.append((character, HEARD))
+        if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
+            machine.interrupting_on = not machine.interpreter.raise_event("COMINT")
+        if not entry.enabled:
+            self.feed()
+
+    def _echoes(self, character: str) -> bool:
+        broadcast = self._line.startswith("!") or (self._fresh and character == "!")
+        machine = self.machine
+        self._fresh = character in "\r;"
+        if not machine.echo:
+            return False
+        return machine.address == 0 if broadcast else machine.selected is not False
+
+    def feed(self) -> None:
+        while self._packets and not self._holds():
+            text, packet = self._packets.popleft()
+            if self.download is not None:
+                self._load(text, packet)
+            elif self._control or text == "\x12":
+                self._take_control(text)
+            elif text == "\n":
+                continue
+            elif text == "\r" or (text == ";" and not self._quoted):
+                self._end_line(packet)
+            else:
+                self._quoted ^= text == '"'
+                self._append(text)
+
+    def _take_control(self, character: str) -> None:
+        if self.machine.selected is not False:
+            self._take(character, HEARD)
+
+    def _end_line(self, packet: int) -> None:
+        self._quoted = False
+        line, machine = self._line.strip(), self.machine
+        if line.startswith("%"):
+            self._select(line[1:].strip())
+            return
+        broadcast = line.startswith("!")
+        if machine.selected is False and not broadcast:
+            self._line, self._overlong = "", False
+            return
+        packet = MUTED if broadcast and machine.address else HEARD
+        if self._overlong or sum(len(statement.text) for statement, _ in self.queue) > BUFFER:
+            self._line, self._overlong = "", False
+            self._muted = packet == MUTED
+            self.refuse(5)
+            return
+        self._line = ""
+        if machine.take_input(self, line):
+            return
+        for statement in compile_line(line.removeprefix("!"), machine.model):
+            self.queue.append((statement, packet))
+        machine.interpreter.pump()
+
+    def _select(self, address: str) -> None:
+        """`%A`: the unit with that address takes what follows, and answers this (D7, D8)."""
+        self._line, self._overlong = "", False
+        machine = self.machine
+        machine.selected = address == str(machine.address)
+        if machine.selected:
+            self.queue.append((Statement("%", f"%{address}", lambda c: None), HEARD))
+            machine.interpreter.pump()
+
+    def run_next(self) -> None:
+        self._muted = bool(self.queue) and self.queue[0][1] == MUTED
+        super().run_next()
+
+    def _drop(self, packet: int) -> None:
+        """What follows a refused command is further input (D4)."""
+
+    def answer(self, text: str) -> None:
+        if not self._muted:
+            self.emit(text)
+        self._muted = False
+
+    def unsolicited(self, text: str) -> None:
+        """Units that are not selected are silent (D9)."""
+        if self.machine.selected is not False:
+            self.emit(text)
+
+
+class GeneralPort(Port):
+    """Port 2 as a general port: an operator's panel, not a source of commands (L917-L931, L4807). Deaf before `CC`."""
+
+    def receive(self, data: bytes) -> None:
+        machine = self.machine
+        baud, _, chained, echo = machine.second_line
+        if not self.open or not baud or chained:
+            return
+        machine.look()
+        for character in data.decode("latin-1"):
+            if echo:
+                self.emit(character)
+            self._arrive(character)
+        machine.go_on()
+
+    def _arrive(self, character: str) -> None:
+        machine = self.machine
+        main = machine.interpreter.threads[0]
+        if main.input_for and main.input_port == self.name:
+            if character not in "\r;":
+                self._append(character)
+                return
+            line, self._line = self._line, ""
+            machine.take_input(self, line)
+            return
+        entry = machine.entries["2"]
+        if character in ("\\", _ESCAPE):
+            entry.enable(False)
+            return
+        if entry.enabled:
+            entry.take(character)
+        mode = machine.interrupting["2"]
+        if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
+            machine.interrupting_on = not machine.interpreter.raise_event("COMINT")

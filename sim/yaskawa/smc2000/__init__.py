@@ -1,0 +1,1 @@
+"""What the SMC-2000 has of its own."""

@@ -1,0 +1,212 @@
+"""The SMC-2000: one to eight axes, two serial ports, daisy chain (L5-L63, L829-L995)."""
+
+from collections.abc import Mapping, Sequence
+
+from orchestrator.clock.base import Clock
+from sim.core.controller import Branch, SimulatedController, Timing, VectorBench
+from sim.core.oscillator import Oscillator
+from sim.yaskawa.base import errors
+from sim.yaskawa.base.data import Room
+from sim.yaskawa.base.formats import Format
+from sim.yaskawa.base.model import Burning, Figures, Model
+from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
+from sim.yaskawa.controller import Bench, Controller
+from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
+from sim.yaskawa.language.expressions import FUNCTIONS
+from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
+from sim.yaskawa.machine import Machine
+from sim.yaskawa.ports.serial_ports import CommandPort, GeneralPort
+from sim.yaskawa.smc2000 import cam as smc2000_cam
+from sim.yaskawa.smc2000 import motion as smc2000_motion
+from sim.yaskawa.smc2000 import operands as smc2000_operands
+from sim.yaskawa.smc2000 import points as smc2000_points
+from sim.yaskawa.smc2000 import program as smc2000_program
+from sim.yaskawa.smc2000 import serial as smc2000_serial
+from sim.yaskawa.smc2000.chain import Chain, ChainBench
+from sim.yaskawa.smc2000.parameters import SMC2000 as PARAMETERS
+
+OWN_MODULES = (
+    smc2000_cam,
+    smc2000_motion,
+    smc2000_operands,
+    smc2000_points,
+    smc2000_program,
+    smc2000_serial,
+)
+DECODE_NS = 500_000
+"""The firmware's time for a command (L1000); what `Timing.decode_ns` is on a real unit."""
+EXTERNAL = -1
+"""`TM` of a unit that takes its samples from the wire (L976)."""
+LOCK_SETTING = 2
+"""Level of LC at which a port may only ask and stop (L9879)."""
+
+_SHARED = frozenset(
+    """
+    AB AC AE AF AI AM AP AR AS AT AV BG BL BN BP BV CB CD CE CM CR CS DA DC DE DL DM DP DT DV EB EM EO EP ER ES ET FA
+    FE FI FL FV GN GR HM HX IL IT JG JP JS KD KI KP KS LC LE LI LM LS LT LV LZ MF MG MO MR MT NO OB OE OF PW QD QY RA RC
+    PF RD RE RI RL RP SB SC SH SP ST TD TL TM TP TR TS TV TW TY UL VA VD VE VF VP VR VS VT WC WT XQ ZR ZS
+    """.split()  # noqa: SIM905
+)
+_SHARED_OPERANDS = frozenset(
+    """
+    AB AC AE AF AL AV BG BL BN CE CM CS CW DA DC DE DL DM DP DT DV EB ED EG EM EO EP EQ ER FA FL FV GN GR HM HX IL IT JG
+    KD KI KP KS LC LE LF LM LR LT LZ MO MT OE OF PF PR RC RD RL RP SC SH SP TB TC TD TE TL TM TN TP TS TT TV TW TY UL
+    VA VD VE VF VP VR VS VT XQ ZR ZS
+    """.split()  # noqa: SIM905
+)
+_ASKING = frozenset(
+    "AB HX LA LC LL LV MG NO QU RL RP SC ST TB TC TD TE TI TP TS TT TV TY".split()  # noqa: SIM905
+)
+_LEAST_PERIOD = {1: 250, 2: 375, 4: 500, 8: 875}
+"""By the number of axes, microseconds (L13934)."""
+
+
+def _locks(level: int, op: str, lock: str, text: str) -> bool:
+    if "1" in lock:
+        return True
+    return level == LOCK_SETTING and op not in _ASKING and not text.endswith(("?", "="))
+
+
+MODEL = Model(
+    name="smc2000",
+    revision="SMC-2000-{options.axes} Rev {options.firmware}",
+    ports=("serial", "serial2"),
+    commands={op: COMMANDS[op] for op in _SHARED} | SMC2000_COMMANDS,
+    operands={op: OPERANDS[op] for op in _SHARED_OPERANDS} | SMC2000_OPERANDS,
+    parameters=PARAMETERS,
+    functions=frozenset(FUNCTIONS) - {"@ATAN", "@TAN"},
+    texts=errors.SMC2000,
+    letters="XYZWEFGH",
+    figures=Figures(
+        fastest=(8_000_000, 8_000_000),
+        vector=(8192, 262144, 262144),
+        home_speed=256,
+        cam_points=257,
+        contour_step=32762,
+        contour_stops_at_record=True,
+        lag=0,
+        cycles_by_turns=True,
+        stepper_home_stages=2,
+        stepper_fastest=2_000_000,
+        default_plane=True,
+    ),
+    room=Room(lines=1000, labels=254, variables=254, elements=8000, zero_frees=True),
+    threads=4,
+    time_bases=lambda axes: (_LEAST_PERIOD[axes], 20000, 125),
+    burning=Burning({"BN": 1, "BP": 10, "BV": 2}, at_rest=frozenset(("BN", "BP"))),
+    locks=_locks,
+    lock_levels=2,
+    password="00000000",
+    serial_port=CommandPort,
+    second_port=GeneralPort,
+    by_line=False,
+    spaced_names=False,
+    comment_end=";",
+    running_bit=6,
+    still_data=False,
+    switch_levels=False,
+    speed_digits=7,
+    keywords=("P1CD", "P1CH", "P1NM", "P1ST", "P2CD", "P2CH", "P2NM", "P2ST"),
+    burned=frozenset(
+        "AC AF BL CE DC DV EM ER FA FL FV GR IL IT KD KI KP MT OE OF SP TL".split()  # noqa: SIM905
+    ),
+    formats={
+        "CM": Format(1, 0),
+        "LC": Format(8, 0),
+        "PF": Format(2, 1),
+        "VF": Format(2, 1),
+        "VA": None,
+        "VD": None,
+        "VS": None,
+        "VT": Format(1, 4),
+    },
+    factory_echo=True,
+    external_clock=True,
+    codes={33: 4, 63: 1, 126: 6, 130: 1},
+)
+
+
+class Smc2000Simulator:
+    """Builds simulated SMC-2000 controllers, alone or in a daisy chain; fulfils `Simulator`."""
+
+    @property
+    def model(self) -> str:
+        return MODEL.name
+
+    def build(
+        self,
+        clock: Clock,
+        options: Mapping[str, object],
+        *,
+        oscillator: Oscillator | None = None,
+        timing: Timing | None = None,
+        seed: int = 0,
+    ) -> SimulatedController:
+        """A powered-up controller. Options are the fields of `Smc2000Options`, or of `ChainOptions` when `chain` is
+        among them; `ValueError` names a wrong one.
+        """
+        if "chain" in options:
+            return self.chain(clock, options, oscillator, timing, seed)
+        return self.alone(clock, options, oscillator, timing, seed)
+
+    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> VectorBench:
+        """The same, ideal in time, with the handles that test vectors need."""
+        if "chain" in options:
+            return ChainBench(self.chain(clock, {"hop_ns": 0} | dict(options)))
+        return Bench(self.alone(clock, options))
+
+    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Chain, Sequence[Controller]]:
+        """A daisy chain, its units in their order from the host; port 2 of each is set up for it."""
+        built = [
+            self.alone(
+                clock,
+                dict(unit.options) | {"address": unit.address, "chained": True},
+                unit.oscillator,
+                unit.timing,
+                unit.seed,
+            )
+            for unit in units
+        ]
+        return Chain(clock, built, HOP_NS), built
+
+    @staticmethod
+    def alone(
+        clock: Clock,
+        options: Mapping[str, object],
+        oscillator: Oscillator | None = None,
+        timing: Timing | None = None,
+        seed: int = 0,
+    ) -> Controller:
+        """One controller."""
+        chosen = Smc2000Options.model_validate(dict(options))
+        machine = Machine(clock, MODEL, chosen, oscillator or Oscillator(), timing or Timing(), seed)
+        machine.go_on()
+        return Controller(machine, MODEL.ports)
+
+    def chain(
+        self,
+        clock: Clock,
+        options: Mapping[str, object],
+        oscillator: Oscillator | None = None,
+        timing: Timing | None = None,
+        seed: int = 0,
+    ) -> Chain:
+        """A daisy chain; each unit has a crystal of its own, all of the kind of `oscillator`."""
+        chosen = ChainOptions.model_validate(dict(options))
+        crystal = oscillator or Oscillator()
+        units: list[Controller] = []
+        for place, unit in enumerate(chosen.chain):
+            own = chosen.options | {"axes": unit.axes, "address": unit.address, "echo": chosen.echo, "chained": True}
+            drift_ppm = crystal.drift_ppm if unit.drift_ppm is None else unit.drift_ppm
+            other = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + place)
+            units.append(self.alone(clock, own, other, timing, seed + place))
+        chain = Chain(clock, units, chosen.hop_ns)
+        if chosen.shared_clock:
+            chain.share_clock()
+        for unit, controller in zip(chosen.chain, units, strict=True):
+            if unit.external_clock:
+                controller.machine.memory.burn_period(EXTERNAL)
+        return chain
+
+
+SMC2000 = Smc2000Simulator()
