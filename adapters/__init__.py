@@ -1,1 +1,1 @@
-"""Adapters: what drives controllers of each make and presents them on the bus."""
+"""Adapters: the packages that drive controllers of each make and represent them on the bus."""

@@ -1,8 +1,14 @@
-"""The adapter contract: what a make's package provides, and what it is given.
+"""The adapter contract: what a make's package provides, and what it receives.
 
-A make's package (found by the entry point group `tutti.adapters`) exports a `Make`. Its `Driver` speaks the
-controller's language over links and knows nothing of the bus, of jobs, leases or fleet time: axes are called by
-their names in the fleet file, positions are whole counts of the controller, instants are host nanoseconds.
+A make's package exports a `Make`, found by the entry point group `tutti.adapters`. Its `Driver` speaks the controller's
+language over links. A driver is independent of the bus, of jobs, of leases and of fleet time.
+
+Units throughout: axes are identified by their names in the fleet file; positions are whole counts of the controller;
+instants are host nanoseconds (`Clock.now_ns`); durations carry their unit in their name (`_ns`, `_s`).
+
+Errors: `Refusal` means that a request was declined and nothing moved because of it. `ControllerFault` means that the
+controller misbehaves. `LinkClosed` and `LinkRefused` mean that the connection is lost or cannot be opened.
+
 Everything common to all makes (the bus, polling, fencing, limits, the e-stop latch) is in `adapters.controller`.
 """
 
@@ -17,39 +23,24 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import Refusal, StartWay, Term
+from orchestrator.model.messages import BudgetTerm, StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs, Fault, StartClass
+from orchestrator.model.state import FaultReport, StartClass, StepCosts
 
 
-class CannotDo(Exception):
-    """The controller, or its adapter, refuses. The reason is a value; nothing has moved because of it."""
-
-    def __init__(self, code: str, text: str, remedy: str = "") -> None:
-        super().__init__(text)
-        self.refusal = Refusal(code=code, text=text, remedy=remedy)
-
-
-class DriverFault(Exception):
-    """The controller does not do what its manual says: silence, garbage, an error that it reports."""
-
-    def __init__(self, code: str, text: str, remedy: str, axis: str | None = None) -> None:
-        super().__init__(text)
-        self.fault = Fault(code=code, text=text, remedy=remedy, axis=axis)
-
-
-class Restarted(LinkClosed):
-    """The controller was switched off and on. Its link is given up, so that others hear of it before it is loaded
-    again."""
+class ControllerRestarted(LinkClosed):
+    """The controller was power-cycled or reset. The driver gives up the link, so that the loss is published before the
+    controller is loaded again."""
 
     def __init__(self) -> None:
-        super().__init__("the controller was restarted; it is connected again from the beginning")
+        super().__init__("the controller was restarted; the connection is set up again from the beginning")
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
-    """What the controller says it is."""
+class ControllerIdentity:
+    """Model, firmware and serial number as the controller reports them."""
 
     model: str
     firmware: str
@@ -60,7 +51,8 @@ class Identity:
 class AxisReading:
     """One axis as the controller reports it, in its counts.
 
-    lost: its counts may not be where the axis is any more (an encoder failed, a motor without one was off).
+    position_lost: the counts may no longer match the position of the axis (an encoder failed, or a motor without an
+    encoder was off).
     """
 
     commanded_counts: int
@@ -69,70 +61,79 @@ class AxisReading:
     moving: bool
     enabled: bool
     limit: Literal["none", "forward", "reverse", "both"] = "none"
-    lost: bool = False
+    position_lost: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """One poll of the whole controller. at_ns: the middle of the time in which the controller has looked. inputs and
-    outputs: by number, true = electrically high / on.
+class ControllerReading:
+    """One poll of the whole controller.
 
+    at_ns: the middle of the interval in which the controller sampled its state.
+    inputs, outputs: by number; true = electrically high / on.
     restarted: the controller has lost its volatile state since the last poll (power cycle, reset); its axes are no
-    longer referenced and nothing is armed in it any more.
+    longer referenced and nothing is armed in it.
     """
 
     at_ns: int
     axes: Mapping[str, AxisReading]
     inputs: Mapping[int, bool] = field(default_factory=dict[int, bool])
     outputs: Mapping[int, bool] = field(default_factory=dict[int, bool])
-    faults: Sequence[Fault] = ()
+    faults: Sequence[FaultReport] = ()
     restarted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Capabilities:
-    """What the make's adapter can do, before any job.
+class DriverCapabilities:
+    """What the make's adapter supports, fixed before any job.
 
-    orders: of profiles it can execute, 2 trapezoids and 3 jerk-limited ones. independent_axes: axes may move in
-    different steps at once, and stop one without the other. stop_ns: from a stop request to the last axis at rest,
-    at the most (transport and ramp from full speed).
+    orders: orders of profiles that it can execute: 2 for trapezoids, 3 for jerk-limited profiles.
+    independent_axes: axes may move in different steps at the same time, and one can stop without the other.
+    costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
+    last axis is at rest (transport, and the ramp from full speed).
     """
 
     start_classes: tuple[StartClass, ...]
     orders: tuple[Literal[2, 3], ...]
     independent_axes: bool
-    costs: Costs
+    costs: StepCosts
 
 
 @dataclass(frozen=True, slots=True)
 class Lowered:
-    """A step's part as this controller will really execute it. Makes derive their own, with what `arm` needs.
+    """A controller's part of a step as the controller will execute it. Makes derive their own class, with what
+    `arm_move`
+    needs.
 
-    durations_s: by axis, from its start to its end, in host seconds. path_error_counts: largest distance to the
-    plan, by axis, for axes that start together. terms: where the start lies about T0 (guaranteed), one entry a cause;
-    of a member that waits for a line, the line's own window is among them (name `line`). edge: the same for the edge
-    of the line that it drives, at its terminal. clock_ppm: by how much the unit's own crystal may make all of it longer
-    or shorter, guaranteed. sooner: `go` can bring T0 forward. commands: what would be sent, for people.
+    durations_s: by axis, from its start to its end, in host seconds.
+    path_error_counts: by axis, the largest distance to the plan, for axes that start together.
+    terms: guaranteed interval of the start relative to T0, one entry per cause; for a participant that waits for a
+    trigger line, the window of that line is one of them (name `line`).
+    edge: the same for the edge of the trigger line that the controller drives, at its terminal.
+    clock_ppm: guaranteed bound by which the controller's own crystal may stretch or shorten all durations.
+    can_advance: `go` can move T0 to an earlier instant.
+    commands: the commands that would be sent, for display.
     """
 
     start_class: StartClass
     durations_s: Mapping[str, float]
     path_error_counts: Mapping[str, float]
-    terms: tuple[Term, ...]
+    terms: tuple[BudgetTerm, ...]
     tick_ns: float
-    costs: Costs
+    costs: StepCosts
     commands: tuple[str, ...]
-    edge: tuple[Term, ...] = field(default=(), kw_only=True)
+    edge: tuple[BudgetTerm, ...] = field(default=(), kw_only=True)
     clock_ppm: float = field(default=100.0, kw_only=True)
-    sooner: bool = field(default=False, kw_only=True)
+    can_advance: bool = field(default=False, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
 class JogMove:
-    """One axis moved by hand, in counts of the controller.
+    """A jog of one axis, in counts of the controller.
 
-    velocity_counts_s: signed, not 0. ramp_counts_s2: for speeding up and slowing down. end_counts: where it comes to
-    rest by itself at the latest (a soft limit); None: an axis without limits, or one that does not know where it is.
+    velocity_counts_s: signed, not 0.
+    ramp_counts_s2: acceleration and deceleration.
+    end_counts: the position at which the axis comes to rest by itself at the latest (a soft limit); None for an axis
+    without limits or with an unknown position.
     """
 
     velocity_counts_s: float
@@ -141,9 +142,12 @@ class JogMove:
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
-    """A host instant known as an interval, ends included. seen: the controller has shown that it came; else that is
-    taken from its promise, and only the end will tell. late_ns: so much later than promised was a start given."""
+class HostInterval:
+    """A host instant known as an interval, ends included.
+
+    seen: the controller has reported the event; otherwise the interval is inferred from the guarantees, and only the
+    end of the move confirms it.
+    late_ns: delay of a start command beyond the guaranteed interval."""
 
     earliest_ns: int
     latest_ns: int
@@ -152,208 +156,239 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a started move ended. `ended` is by axis; `reason` says why it did not end as planned."""
+class MoveOutcome:
+    """How a started move ended. `ended` is by axis; `reason` states why the move did not end as planned."""
 
     state: Literal["done", "stopped", "fault"]
-    ended: Mapping[str, Span]
+    ended: Mapping[str, HostInterval]
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Fired:
-    """A byte that was sent at an instant. after_ns: so long after the one that was ordered. late: it would have been
-    after `latest_ns`, and was not sent."""
+class WriteResult:
+    """Result of a timed write.
+
+    written_ns: host time of the write.
+    after_ns: delay after the requested instant.
+    late: the write could only have happened after `latest_ns`, and was skipped."""
 
     written_ns: int
     after_ns: int
     late: bool
 
 
-class FireOrder(Protocol):
-    """Bytes that will be written at an instant."""
+class TimedWrite(Protocol):
+    """Bytes that are scheduled for an instant."""
 
-    def cancel(self) -> bool:
-        """Do not write. False when it is too late for that."""
+    def cancel_write(self) -> bool:
+        """Cancel the write. Return False when it is too late for that."""
         ...
 
-    async def done(self) -> Fired:
-        """Wait for the write."""
+    async def wait_until_written(self) -> WriteResult:
+        """Wait for the write and return its result."""
         ...
 
 
-class Firer(Protocol):
-    """Writes bytes to links at instants, better than an event loop could. late_us: how late it may be where the fleet
-    file does not say it."""
+class TimedWriter(Protocol):
+    """Write bytes to links at given instants, more accurately than an event loop can.
 
-    late_us: int
+    max_delay_us: the largest delay in µs to assume where the fleet file does not state one."""
 
-    def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> FireOrder:
-        """Write `data` at host time `at_ns`; not at all if that could only be after `latest_ns`."""
+    max_delay_us: int
+
+    def schedule_write(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> TimedWrite:
+        """Write `data` at host time `at_ns`; skip the write if it can only happen after `latest_ns`."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
-    """What a driver is given. options: validated by the make's own model. shared: one mapping for all drivers whose
-    controllers are on the same link, where the make's package keeps what they have in common."""
+class DriverSetup:
+    """What a driver receives when it is created.
+
+    options: validated by the make's own model.
+    shared: one mapping for all drivers whose controllers are on the same link; the make's package keeps their common
+    state in it."""
 
     controller: str
     config: Controller
     options: BaseModel
     clock: Clock
     open_link: OpenLink
-    firer: Firer
+    timed_writer: TimedWriter
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
-def require_how(how: StartWay, known: Sequence[StartClass], why: str) -> None:
-    """Raises `CannotDo` for a start that a controller with the start classes `known` can not make, because `why`.
+def require_start_class(start: StartOptions, known: Sequence[StartClass], why: str) -> None:
+    """Raise `Refusal` for a start that a controller with the start classes `known` cannot make, because of `why`.
 
-    Which line can be waited for or driven is the make's to check.
+    The make itself checks which trigger lines it can wait for or drive.
     """
-    wanted = "line" if how.wait is not None else how.by
+    wanted = "line" if start.wait is not None else start.start_class
     if wanted != "auto" and wanted not in known:
-        raise CannotDo("start-class", f"no start by {wanted}: {why}", f"ask for start class {' or '.join(known)}")
+        raise Refusal("start-class", f"no start by {wanted}: {why}", f"request start class {' or '.join(known)}")
 
 
-def too_quick(made_s: float, wanted_s: float, how: StartWay) -> bool:
-    """Whether a move that can not be as slow as wanted ends too early: by a fiftieth, and by more than allowed."""
-    return wanted_s - made_s > max(wanted_s / 50, how.early_ns / NS_PER_S)
+def ends_too_early(made_s: float, wanted_s: float, start: StartOptions) -> bool:
+    """Return whether a move that cannot be as slow as requested ends too early: by more than a fiftieth of its
+    duration, and by more than `start.early_ns`."""
+    return wanted_s - made_s > max(wanted_s / 50, start.early_ns / NS_PER_S)
 
 
 class Driver(ABC):
     """One controller of a make.
 
-    `poll` and `raw` may run beside any other call, and `stop` at any moment: the driver serialises its exchanges on
-    the link itself, and a stop goes past them. Every call may raise `LinkClosed` and `DriverFault`; one that takes an
-    answer from the controller gives up after a time of its own with a `DriverFault` of code `no-answer`.
+    Concurrency: `poll` and `send_raw` may run concurrently with any other call, and `stop` and `stop_axes` may be
+    called at any moment. The driver serialises its exchanges on the link itself; a stop bypasses that queue.
+
+    Errors: every call may raise `LinkClosed` and `ControllerFault`. A call that waits for a reply of the controller has
+    a timeout of its own and raises `ControllerFault` with code `no-answer`.
     """
 
     @abstractmethod
-    async def connect(self) -> Identity:
-        """Open the links and bring the controller into a known state: right make, nothing armed, nobody's leftovers.
+    async def connect(self) -> ControllerIdentity:
+        """Open the links and bring the controller into a known state: the right make, nothing armed, no leftovers of an
+        earlier session.
 
-        It may be in any state: echo on, a half-typed line, another program running, a move under way. A moving
-        controller is not stopped. Raises `LinkRefused`, or `DriverFault` with what a person has to do.
+        The controller may be in any state: echo on, a half-typed command, another program running, a move under way. A
+        moving controller is not stopped. Raises `LinkRefused`, or `ControllerFault` whose remedy states what the
+        operator must do.
         """
 
     @abstractmethod
     async def configure(self) -> None:
-        """Read back what the unit itself holds and load what it needs; raises `DriverFault` (code `config-mismatch`,
-        naming item, found and wanted value) on a difference that it must not change by itself."""
+        """Read back the controller's stored settings and load what the driver needs.
+
+        Raises `ControllerFault` (code `config-mismatch`, with item, found and expected value) for a difference that the
+        driver must not correct by itself."""
 
     @property
     @abstractmethod
-    def capabilities(self) -> Capabilities: ...
+    def capabilities(self) -> DriverCapabilities: ...
 
     @abstractmethod
-    async def poll(self) -> Reading:
-        """Read the state of all axes, inputs and outputs, as cheaply as the make allows; feeds the clock estimate.
+    async def poll(self) -> ControllerReading:
+        """Read the state of all axes, inputs and outputs, as cheaply as the make allows; the poll also updates the
+        clock estimate.
 
-        Raises `Restarted` where much is to be loaded again. It is met anew then, and the first reading says so.
+        Raises `ControllerRestarted` when the controller has restarted and much must be loaded again. The caller then
+        reconnects, and the first reading after that reports `restarted`.
         """
 
-    def mapping(self) -> TickMapping | None:
-        """The present clock estimate; None for a make without a readable clock."""
+    def clock_mapping(self) -> TickMapping | None:
+        """Return the current clock estimate; None for a make without a readable clock."""
         return None
 
-    def crystal(self) -> CrystalRate | None:
-        """What moves have told of the crystal of a make without a readable clock; None where that is not learned."""
+    def crystal_rate(self) -> CrystalRate | None:
+        """Return what finished moves have shown about the crystal of a make without a readable clock; None where that
+        is not learned."""
         return None
 
     @abstractmethod
-    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> Lowered:
-        """Turn profiles into what the controller can execute. Pure: the same arguments give the same answer.
+    def lower_profiles(
+        self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
+    ) -> Lowered:
+        """Compile profiles to what the controller can execute. Pure: the same arguments give the same result.
 
-        With `how.wait` the move starts when that input becomes active, and with `how.drive` the controller makes that
-        output active at T0 (with or without axes of its own), and passive again later; only after `go`, like a start.
-        Raises `CannotDo` naming the axis and what would fit, code `start-class` for a start that it can not make.
+        With `start.wait` the move starts when that input becomes active. With `start.drive` the controller makes that
+        output active at T0 (with or without axes of its own) and passive again later. Both happen only after `go`, like
+        any start.
+
+        Raises `Refusal` that names the axis and what would fit; code `start-class` for a start that the controller
+        cannot make.
         """
 
     @abstractmethod
-    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         """Load the move for a start at host instant `t0_ns`, without moving; read it back where the make allows.
 
-        A line that is waited for, or driven, must be passive when the wait begins (code `line-level`).
+        A trigger line that is waited for or driven must be passive when the wait begins (code `line-level`).
 
-        Gives the stages of arming in ns (`encode`, `wire`, `verify`, …). Raises `CannotDo`; then nothing is armed.
+        Returns the stages of arming in ns (`encode`, `wire`, `verify`, …). Raises `Refusal`; then nothing is armed.
         """
 
     @abstractmethod
-    async def verify(self) -> None:
-        """Just before the promise: still armed, still where the plan starts. Raises `CannotDo`."""
+    async def verify_armed(self) -> None:
+        """Check immediately before the commit that the move is still armed and the axes still are where the plan
+        starts. Raises `Refusal`."""
 
     @abstractmethod
-    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
-        """Open the gate: the armed move starts at its instant. Raises `CannotDo` (code `late`) when that is past.
+    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
+        """Release the armed move: it starts at its instant. Raises `Refusal` (code `late`) when that instant has
+        passed.
 
-        slack_ns: who is started by the host may be started so much later than its options promise. sooner_ns: T0 comes
-        so much sooner than it was armed for, by a whole number of ticks to within a few hundredths of one; 0 where what
-        was lowered is not `sooner`.
+        start_tolerance_ns: a move that the host starts may start this much later than the options guarantee.
+        advance_ns: T0 is this much earlier than the T0 of `arm_move`: a whole number of ticks to within a few
+        hundredths of a tick; 0 unless the lowered move has `can_advance`.
         """
 
     @abstractmethod
-    async def disarm(self) -> None:
-        """Unload; nothing starts, now or later. Idempotent, and safe in every state but motion."""
+    async def disarm_move(self) -> None:
+        """Unload the move; nothing starts, now or later. Idempotent, and safe in every state except in motion."""
 
     @abstractmethod
-    async def started(self) -> Mapping[str, Span]:
-        """After T0: when each axis started, by the controller's own evidence.
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        """Return, after T0, the instant at which each axis started, by the controller's own evidence.
 
-        Raises `DriverFault` (code `not-started`, or `late`) as soon as it is known that it did not.
+        Raises `ControllerFault` (code `not-started` or `late`) as soon as it is certain that an axis did not start.
         """
 
     @abstractmethod
-    async def outcome(self) -> Outcome:
-        """Wait for the end of the started move. `poll` may be called meanwhile."""
+    async def wait_for_end(self) -> MoveOutcome:
+        """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
 
     @abstractmethod
     async def stop(self, abort: bool) -> None:
-        """Stop all axes and everything armed: by ramp, or as fast as the controller can.
+        """Stop all axes and everything armed: by ramp, or with `abort` as fast as the controller can.
 
-        Returns when the order is sent; never waits for an outstanding reply, and may be called beside any other call.
+        Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
+        other call.
         """
 
-    async def stop_first(self) -> bool:
-        """Stop a controller that may be moving before anything else is asked of it, by a link that it shares with
-        others. False: it has one of its own, and the caller opens it and writes the make's `stop_bytes`.
+    async def stop_before_connect(self) -> bool:
+        """Stop a controller that may be moving before anything else is sent to it, over a link that it shares with
+        other controllers.
 
-        Raises `LinkRefused`, `LinkClosed`.
+        Return False for a controller with a link of its own: the caller then opens that link and writes the make's
+        `stop_bytes`. Raises `LinkRefused`, `LinkClosed`.
         """
         return False
 
     @abstractmethod
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        """Switch motors. Raises `CannotDo`."""
+    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+        """Switch motors on or off. Raises `Refusal`."""
 
     @abstractmethod
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        """Find the reference of all `axes` at once by their `homing`; returns when all have come to rest.
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        """Find the reference of all `axes` at the same time by their `homing`; return when all have come to rest.
 
-        found: called with each axis as soon as it has found it. Gives those that have not, with the reason. None begins
-        after a stop that was given since the call. Raises `CannotDo` when none was begun, `DriverFault`. A caller whose
-        patience ends cancels the call and stops.
+        found: called with each axis as soon as its reference is found. Returns the axes without a reference, with the
+        reason for each. No axis begins after a stop that was commanded since the call.
+
+        Raises `Refusal` when no axis began, `ControllerFault`. On a timeout the caller cancels the call and then stops
+        the controller.
         """
 
     @abstractmethod
-    async def jog(self, axis: str, move: JogMove) -> None:
-        """Begin to move one axis, or change to `move` while it is jogging; returns when the order is taken.
+    async def jog_axis(self, axis: str, move: JogMove) -> None:
+        """Begin to jog one axis, or change to `move` while it jogs; return when the controller has accepted the
+        command.
 
-        Other axes that jog go on. It runs until `stop_axes`, `stop`, `move.end_counts` or a limit switch: the caller
-        keeps the time. Raises `CannotDo`; then the axis does not move by this call.
+        Other jogging axes continue. The jog runs until `stop_axes`, `stop`, `move.end_counts` or a limit switch: the
+        caller limits its duration. Raises `Refusal`; then this call does not move the axis.
         """
 
     @abstractmethod
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        """Stop jogging axes by their ramps; others go on. Returns when the order is sent; never waits for an
-        outstanding reply, and may be called beside any other call."""
+        """Stop jogging axes by their ramps; others continue.
 
-    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        """Load the unit's own soft limits, (low, high) in counts by axis; None: the axis does not know where it is,
-        and must not be held by them. A make without native soft limits has nothing to do.
+        Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
+        other call."""
 
-        Raises `DriverFault` (code `config-mismatch`) when the unit does not hold them afterwards.
+    async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        """Load the controller's own soft limits, (low, high) in counts by axis; None for an axis whose position is
+        unknown, which these limits must not restrict. A make without native soft limits does nothing.
+
+        Raises `ControllerFault` (code `config-mismatch`) when the controller does not hold these values afterwards.
         """
         del limits
 
@@ -362,37 +397,38 @@ class Driver(ABC):
 
     @abstractmethod
     async def clear_faults(self) -> None:
-        """After a reset by a person: clear what the controller latches (error state, stop). Raises `CannotDo`."""
+        """Clear what the controller latches (error state, stop) after an operator's reset. Raises `Refusal`."""
 
     @abstractmethod
-    async def raw(self, command: str) -> str:
-        """Send a line in the controller's language and give its reply as text."""
+    async def send_raw(self, command: str) -> str:
+        """Send a command in the controller's language and return its reply as text."""
 
     @abstractmethod
     async def close(self) -> None:
-        """Close the links. Leaves the controller as it is."""
+        """Close the links. The controller stays as it is."""
 
 
 class Make(Protocol):
-    """One make and model that can be driven: what the entry points of group `tutti.adapters` name."""
+    """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names."""
 
     @property
     def name(self) -> str: ...
 
     @property
-    def options(self) -> type[BaseModel]:
+    def options_model(self) -> type[BaseModel]:
         """The model of `options:` in the fleet file."""
         ...
 
-    def check(self, config: Controller) -> None:
-        """Offline check of a controller's part of the fleet file (motor names, input numbers, link kind).
+    def check_config(self, config: Controller) -> None:
+        """Check a controller's part of the fleet file offline (motor names, input numbers, link kind).
 
-        Raises `ValueError` that names field, found value and what is allowed.
+        Raises `ValueError` that names the field, the value found and the values allowed.
         """
         ...
 
-    def driver(self, setup: Setup) -> Driver: ...
+    def create_driver(self, setup: DriverSetup) -> Driver: ...
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """What a guardian writes to a link of its own to stop everything, whatever was half-typed before."""
+        """Return the bytes that a guardian writes to a link of its own to stop everything, whatever half-typed command
+        the controller holds."""
         ...

@@ -1,5 +1,5 @@
-"""CANopen drives of CiA 402, one node of a CAN bus each (CiA 301 and CiA 402, by object names of the standards)."""
+"""CANopen drives of CiA 402, each a node of a CAN bus (CiA 301 and CiA 402, with the object names of the standards)."""
 
-from adapters.cia402.make import Cia402
+from adapters.cia402.make import Cia402Make
 
-MAKE = Cia402()
+MAKE = Cia402Make()

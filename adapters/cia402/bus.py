@@ -1,7 +1,7 @@
-"""One CAN bus with the drives on it: opened once, frames handed to the node that they are from.
+"""One CAN bus with its drives: opened once; received frames are dispatched to their nodes.
 
-python-can's and canopen's own networks read in threads, which have no place in virtual time; this is the little of
-CANopen that a master needs, over the project's own links.
+The networks of python-can and canopen read in threads, which cannot run in virtual time; this module implements the
+part of CANopen that a master needs, over the project's own links.
 """
 
 import asyncio
@@ -14,9 +14,9 @@ from orchestrator.link.base import LinkClosed, OpenLink
 from orchestrator.link.can import ERROR_BUS_OFF, ERROR_RESTARTED, CanFrame, CanLink
 
 SHARED = "cia402 bus"
-"""Where the drivers of one bus find it in `Setup.shared`."""
+"""The key of the bus in `DriverSetup.shared`."""
 
-# Function codes of the predefined connection set (CiA 301), to be added to the node's number.
+# Function codes of the predefined connection set (CiA 301), to be added to the node number.
 EMCY = 0x080
 TPDO = (0x180, 0x280, 0x380, 0x480)
 RPDO = (0x200, 0x300, 0x400, 0x500)
@@ -28,75 +28,75 @@ _NODE = 0x7F
 SYNC = CanFrame(0x080)
 OPERATIONAL = 0x05
 """The NMT state in a heartbeat."""
-_BEATS = 4  # within the time of a watchdog
+_BEATS = 4  # within the watchdog time
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET = 0x01, 0x02, 0x80, 0x81
 
 
-class Hearer(Protocol):
-    """A node as the bus knows it."""
+class BusNode(Protocol):
+    """A node as the bus sees it."""
 
-    def hear(self, function: int, frame: CanFrame, at_ns: int) -> None:
-        """A frame of the node. function: its identifier without the node's number."""
+    def handle_frame(self, function: int, frame: CanFrame, at_ns: int) -> None:
+        """Handle a frame of the node. function: its identifier without the node number."""
         ...
 
-    def bus_off(self, off: bool) -> None:
-        """This computer has left the bus, or is back on it."""
+    def handle_bus_off(self, off: bool) -> None:
+        """Handle that this computer has left the bus, or has returned to it."""
         ...
 
-    def lost(self, error: LinkClosed) -> None:
-        """The link is closed."""
+    def handle_link_loss(self, error: LinkClosed) -> None:
+        """Handle a closed link."""
         ...
 
 
-class Bus:
-    """One bus. Made before any loop runs; every drive of it joins when its driver is built."""
+class Cia402Bus:
+    """One bus. Created before any loop runs; every drive of it joins when its driver is created."""
 
     def __init__(self, clock: Clock, bitrate: int) -> None:
         self.bitrate = bitrate
-        self.off = False
+        self.is_off = False
         self.clock = clock
         self.units: dict[int, int] = {}
         self.periods_ms: dict[int, int] = {}
-        """Of SYNC, as its drives that follow positions want it, by node: all the same, because one SYNC is for all."""
+        """SYNC periods that drives following positions require, by node: all equal, because one SYNC serves all."""
         self.watchdogs_ms: dict[int, int] = {}
-        """Of drives that watch this computer's heartbeat, by node."""
+        """Watchdog times of drives that monitor this computer's heartbeat, by node."""
         self.host_node = 0
         self._can: CanLink | None = None
         self._opening = asyncio.Lock()
         self._reading: asyncio.Task[None] | None = None
         self._beating: asyncio.Task[None] | None = None
-        self._hearers: dict[int, Hearer] = {}
-        self._owed: dict[int, tuple[CanFrame, ...]] = {}
+        self._nodes: dict[int, BusNode] = {}
+        self._pending_stops: dict[int, tuple[CanFrame, ...]] = {}
 
-    def join(self, node: int, start_ns: int) -> None:
-        """A drive of the bus is known. start_ns: its usual time from SYNC to motion."""
+    def register_drive(self, node: int, start_ns: int) -> None:
+        """Register a drive of the bus. start_ns: its usual time from SYNC to motion."""
         self.units[node] = start_ns
 
     @property
     def start_ns(self) -> int:
-        """The usual time from SYNC to motion that the drives of the bus agree on: the middle of theirs."""
+        """The common time from SYNC to motion of the bus: the median of its drives."""
         return (min(self.units.values()) + max(self.units.values())) // 2
 
-    # The link
+    # Link
 
-    async def attach(self, node: int, hearer: Hearer, open_link: OpenLink) -> None:
-        """See to it that the link is open, and hear `node` from now on. Raises `LinkRefused`."""
+    async def attach_node(self, node: int, bus_node: BusNode, open_link: OpenLink) -> None:
+        """Open the link if necessary, and dispatch frames to `node` from now on. Raises `LinkRefused`."""
         async with self._opening:
             if self._can is None:
                 self._can = CanLink(await open_link(), self.bitrate)
-                self.off = False
-                self._reading = asyncio.get_running_loop().create_task(self._read(self._can))
+                self.is_off = False
+                self._reading = asyncio.get_running_loop().create_task(self._read_frames(self._can))
                 if self.watchdogs_ms:
-                    self._beating = asyncio.get_running_loop().create_task(self._beat(self._can))
-            self._hearers[node] = hearer
+                    self._beating = asyncio.get_running_loop().create_task(self._send_heartbeats(self._can))
+            self._nodes[node] = bus_node
 
-    async def detach(self, node: int, hearer: Hearer) -> None:
-        """A drive is left; the link is closed after the last one."""
+    async def detach_node(self, node: int, bus_node: BusNode) -> None:
+        """Detach a drive; the link is closed after the last one."""
         async with self._opening:
-            if self._hearers.get(node) is hearer:
-                del self._hearers[node]
+            if self._nodes.get(node) is bus_node:
+                del self._nodes[node]
             can = self._can
-            if not self._hearers and can is not None:
+            if not self._nodes and can is not None:
                 self._can = None
                 for task in (self._reading, self._beating):
                     if task is not None:
@@ -104,70 +104,71 @@ class Bus:
                 await can.close()
 
     @property
-    def can(self) -> CanLink:
+    def can_link(self) -> CanLink:
         """The open link; raises `LinkClosed`."""
         if self._can is None:
             raise LinkClosed("the CAN link is closed")
         return self._can
 
-    # Speaking
+    # Transmission
 
-    def send(self, *frames: CanFrame) -> int:
-        """Hand frames to the CAN controller; host time. Raises `LinkClosed`."""
-        return self.can.send(*frames)
+    def send_frames(self, *frames: CanFrame) -> int:
+        """Pass frames to the CAN controller; return the host time. Raises `LinkClosed`."""
+        return self.can_link.send(*frames)
 
     def send_stop(self, node: int, frames: Sequence[CanFrame]) -> int:
-        """Like `send`; what a CAN controller that is off the bus throws away is said again when it is back."""
-        if self.off:
-            self._owed[node] = tuple(frames)
-        return self.can.send(*frames)
+        """Like `send_frames`; frames that a CAN controller discards while it is off the bus are repeated when it
+        returns."""
+        if self.is_off:
+            self._pending_stops[node] = tuple(frames)
+        return self.can_link.send(*frames)
 
-    async def _beat(self, can: CanLink) -> None:
-        """The heartbeat of this computer, often enough for the least patient drive to miss some."""
+    async def _send_heartbeats(self, can: CanLink) -> None:
+        """Send the heartbeat of this computer, often enough for the shortest watchdog of a drive to tolerate losses."""
         every_ns = min(self.watchdogs_ms.values()) * NS_PER_MS // _BEATS
         with suppress(LinkClosed):
             while True:
                 can.send(CanFrame(HEARTBEAT + self.host_node, bytes([OPERATIONAL])))
                 await sleep_ns(self.clock, every_ns)
 
-    # Hearing
+    # Reception
 
-    async def _read(self, can: CanLink) -> None:
+    async def _read_frames(self, can: CanLink) -> None:
         try:
             while True:
                 received = await can.read()
                 if received.frame.error:
-                    self._trouble(received.frame.id)
+                    self._handle_bus_state(received.frame.id)
                 elif not received.frame.extended and not received.frame.rtr:
-                    self._take(received.frame, received.at_ns)
+                    self._dispatch_frame(received.frame, received.at_ns)
         except LinkClosed as error:
-            self._lost(can, error)
+            self._handle_link_loss(can, error)
         except ValueError as error:
-            # Frames can not be told from each other any more.
-            self._lost(can, LinkClosed(f"{can.place}: what comes is no CAN frames: {error}"))
+            # The frame boundaries are lost.
+            self._handle_link_loss(can, LinkClosed(f"{can.place}: the received data are not CAN frames: {error}"))
             await can.close()
 
-    def _lost(self, can: CanLink, error: LinkClosed) -> None:
+    def _handle_link_loss(self, can: CanLink, error: LinkClosed) -> None:
         if self._can is can:
             self._can = None
-            hearers, self._hearers = self._hearers, {}
+            hearers, self._nodes = self._nodes, {}
             for hearer in hearers.values():
-                hearer.lost(error)
+                hearer.handle_link_loss(error)
 
-    def _take(self, frame: CanFrame, at_ns: int) -> None:
-        hearer = self._hearers.get(frame.id & _NODE)
+    def _dispatch_frame(self, frame: CanFrame, at_ns: int) -> None:
+        hearer = self._nodes.get(frame.id & _NODE)
         if hearer is not None:
-            hearer.hear(frame.id & ~_NODE, frame, at_ns)
+            hearer.handle_frame(frame.id & ~_NODE, frame, at_ns)
 
-    def _trouble(self, what: int) -> None:
+    def _handle_bus_state(self, what: int) -> None:
         if what & ERROR_BUS_OFF:
-            self.off = True
+            self.is_off = True
         elif what & ERROR_RESTARTED:
-            self.off = False
-            owed, self._owed = self._owed, {}
+            self.is_off = False
+            owed, self._pending_stops = self._pending_stops, {}
             for frames in owed.values():
-                self.can.send(*frames)
+                self.can_link.send(*frames)
         else:
             return
-        for hearer in list(self._hearers.values()):
-            hearer.bus_off(self.off)
+        for hearer in list(self._nodes.values()):
+            hearer.handle_bus_off(self.is_off)

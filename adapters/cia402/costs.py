@@ -1,45 +1,48 @@
-"""What arming, disarming and stopping take at the most, on a bus with so many drives that do the same at once."""
+"""Upper bounds of arming, disarming and stopping, on a bus whose drives do the same at the same time."""
 
 from math import ceil
 
 from adapters.cia402.bus import SYNC
 from adapters.cia402.objects import DEMAND, STATUSWORD, TARGET
-from adapters.cia402.options import Options
+from adapters.cia402.options import Cia402Options
 from adapters.cia402.stream import COPIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.link.can import CanFrame, frame_ns
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
 _FULL = CanFrame(0x7FF, bytes(8))
-_READS, _ORDERS = 4, 5  # of arming: SDOs read back; mode, target, profile, and what the drive says about it
+_READS, _ORDERS = 4, 5  # of arming: SDOs with verification; mode, target, profile, and the drive's state
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
-_HANDLED_NS = 5 * NS_PER_MS  # an SDO server answers in so much, as a rule
+_HANDLED_NS = 5 * NS_PER_MS  # usual time of an SDO server to answer
 
 
 def full_frame_ns(bitrate: int) -> int:
-    """The longest frame on the bus."""
+    """Return the duration of the longest frame on the bus."""
     return frame_ns(_FULL, bitrate)
 
 
 def sync_ns(bitrate: int) -> int:
-    """The SYNC on the bus."""
+    """Return the duration of the SYNC on the bus."""
     return frame_ns(SYNC, bitrate)
 
 
 def stream_ns(bitrate: int, drives: int) -> int:
-    """What a period of a stream of positions takes on the bus."""
-    position, answer = CanFrame(0x7FF, bytes(TARGET.size)), CanFrame(0x7FF, bytes(STATUSWORD.size + DEMAND.size))
+    """Return the bus time that one period of a position stream takes."""
+    position, answer = (
+        CanFrame(0x7FF, bytes(TARGET.byte_size)),
+        CanFrame(0x7FF, bytes(STATUSWORD.byte_size + DEMAND.byte_size)),
+    )
     return sync_ns(bitrate) + drives * (COPIES * frame_ns(position, bitrate) + frame_ns(answer, bitrate))
 
 
-def costs(options: Options, bitrate: int, drives: int, ramp_s: float) -> Costs:
-    """Bounds in ns. ramp_s: the longest ramp of the motion that may have to be stopped."""
+def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float) -> StepCosts:
+    """Return upper bounds in ns. ramp_s: the longest ramp of the motion that may have to be stopped."""
     each_ns = full_frame_ns(bitrate) * drives
     way_ns = options.wire_jitter_us * NS_PER_US + _HOST_NS
     cycle_ns = (options.cycle_us + options.start_us + options.start_spread_us) * NS_PER_US
     exchange_ns = 2 * each_ns + 2 * way_ns + _HANDLED_NS
     said_ns = 2 * way_ns + cycle_ns + options.inhibit_ms * NS_PER_MS
-    return Costs(
+    return StepCosts(
         arm_ns=_READS * exchange_ns + _ORDERS * each_ns + said_ns,
         disarm_ns=3 * each_ns + 2 * way_ns + cycle_ns,
         stop_ns=3 * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),

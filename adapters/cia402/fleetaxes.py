@@ -1,9 +1,9 @@
-"""The controller's part of the fleet file in the drive's own terms: one node, one axis, whole units."""
+"""The fleet file's part in the drive's own terms: one node, one axis, whole units."""
 
 from math import ceil, floor
 
-from adapters.cia402.options import Options
-from adapters.cia402.shape import WORD_MAX, Bounds, Units
+from adapters.cia402.options import Cia402Options
+from adapters.cia402.shape import WORD_MAX, DriveBounds, DriveUnits
 from orchestrator.model.fleet import Axis, Controller
 
 MOTOR = "1"
@@ -23,35 +23,35 @@ _NAMED_METHODS = {
 POSITION_MAX = 2**31 - 1
 
 
-def node(config: Controller) -> int:
-    """The number of the node."""
+def node_number(config: Controller) -> int:
+    """Return the node number."""
     assert config.link.kind == "can"
-    return config.link.unit
+    return config.link.address
 
 
 def only_axis(config: Controller) -> tuple[str, Axis]:
     return next(iter(config.axes.items()))
 
 
-def units(options: Options) -> Units:
-    return Units(float(options.velocity_units), float(options.acceleration_units))
+def drive_units(options: Cia402Options) -> DriveUnits:
+    return DriveUnits(float(options.velocity_units), float(options.acceleration_units))
 
 
-def bounds(axis: Axis) -> Bounds:
-    """Limits in counts."""
+def axis_bounds(axis: Axis) -> DriveBounds:
+    """Return an axis's limits in counts."""
     scale = float(axis.scale)
-    return Bounds(axis.limits.velocity * scale, axis.limits.acceleration * scale)
+    return DriveBounds(axis.limits.velocity * scale, axis.limits.acceleration * scale)
 
 
 def homing_method(axis: Axis) -> int:
-    """The number for 6098h."""
+    """Return the number for 6098h."""
     named = _NAMED_METHODS.get(axis.homing.method)
     return int(axis.homing.method) if named is None else named
 
 
-def homing_numbers(axis: Axis, options: Options) -> tuple[int, int, int]:
-    """Speeds for the switch and for zero, and acceleration, in the drive's units."""
-    limits, homing, own, scale = bounds(axis), axis.homing, units(options), float(axis.scale)
+def homing_numbers(axis: Axis, options: Cia402Options) -> tuple[int, int, int]:
+    """Return the speeds for the switch and for zero, and the acceleration, in the drive's units."""
+    limits, homing, own, scale = axis_bounds(axis), axis.homing, drive_units(options), float(axis.scale)
     fast = limits.velocity / 10 if homing.speed is None else homing.speed * scale
     slow = fast / 10 if homing.search_speed is None else homing.search_speed * scale
     return (
@@ -61,42 +61,42 @@ def homing_numbers(axis: Axis, options: Options) -> tuple[int, int, int]:
     )
 
 
-def streams(config: Controller) -> bool:
-    """Whether its axis is to move with limited jerk, for which positions are streamed."""
+def needs_stream(config: Controller) -> bool:
+    """Return whether the axis uses jerk-limited motion, for which positions are streamed."""
     return only_axis(config)[1].limits.jerk is not None
 
 
-def ramp(axis: Axis, own: Units) -> int:
-    """The limit of acceleration in the drive's units."""
+def ramp_in_units(axis: Axis, own: DriveUnits) -> int:
+    """Return the acceleration limit in the drive's units."""
     return max(1, int(axis.limits.acceleration * float(axis.scale) * own.acceleration))
 
 
 def ramp_s(axis: Axis) -> float:
-    """The ramp from full speed at the limit of acceleration."""
+    """Return the duration of the ramp from full speed at the acceleration limit."""
     return axis.limits.velocity / axis.limits.acceleration
 
 
 def passive_outputs(config: Controller) -> int:
-    """60FEh with every named output passive."""
+    """Return 60FEh with every named output passive."""
     return sum(1 << (15 + point.number) for point in config.outputs.values() if point.active == "low")
 
 
-def check(config: Controller, options: Options) -> None:
-    """Offline check of the fleet file. Raises `ValueError`."""
+def check_fleet(config: Controller, options: Cia402Options) -> None:
+    """Check the fleet file offline. Raises `ValueError`."""
     if config.link.kind != "can":
-        raise ValueError(f"link.kind: {config.link.kind!r} is no way to a CiA 402 drive; allowed: can")
+        raise ValueError(f"link.kind: {config.link.kind!r} cannot reach a CiA 402 drive; allowed: can")
     if len(config.axes) != 1:
-        raise ValueError(f"axes: a drive has one axis, not {len(config.axes)}; give each node a controller of its own")
+        raise ValueError(f"axes: a drive has one axis, not {len(config.axes)}; define a controller for each node")
     name, axis = only_axis(config)
     if axis.motors[0] != MOTOR:
-        raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is no motor; allowed: '{MOTOR}'")
+        raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '{MOTOR}'")
     method = axis.homing.method
     if method not in _NAMED_METHODS and not (method.lstrip("-").isdigit() and -128 <= int(method) <= 37):
         raise ValueError(
             f"axes.{name}.homing.method: {method!r} is unknown; allowed: {', '.join(_NAMED_METHODS)}, or a number of "
             "6098h from -128 to 37"
         )
-    limits, own = bounds(axis), units(options)
+    limits, own = axis_bounds(axis), drive_units(options)
     for what, value in (
         ("velocity", limits.velocity * own.velocity),
         ("acceleration", limits.acceleration * own.acceleration),

@@ -1,20 +1,20 @@
-"""The make: what the entry point names."""
+"""The make for the entry point."""
 
 from pydantic import BaseModel
 
 from adapters.cia402 import eds, fleetaxes, states
 from adapters.cia402.bus import RPDO
-from adapters.cia402.driver import CiaDriver
+from adapters.cia402.driver import Cia402Driver
 from adapters.cia402.objects import CONTROLWORD, OUTPUTS
-from adapters.cia402.options import Options
-from adapters.cia402.pdo import pdos
+from adapters.cia402.options import Cia402Options
+from adapters.cia402.pdo import required_pdos
 from adapters.cia402.power import quick_stop_by_sdo
-from adapters.contract import Setup
+from adapters.contract import DriverSetup
 from orchestrator.link.can import CanFrame, encode
 from orchestrator.model.fleet import Controller
 
 
-class Cia402:
+class Cia402Make:
     """A CANopen drive of CiA 402: one node of a CAN bus, which it may share with others."""
 
     @property
@@ -22,24 +22,24 @@ class Cia402:
         return "cia402"
 
     @property
-    def options(self) -> type[BaseModel]:
-        return Options
+    def options_model(self) -> type[BaseModel]:
+        return Cia402Options
 
-    def check(self, config: Controller) -> None:
-        options = Options.model_validate(config.options)
-        fleetaxes.check(config, options)
+    def check_config(self, config: Controller) -> None:
+        options = Cia402Options.model_validate(config.options)
+        fleetaxes.check_fleet(config, options)
         if options.eds is not None:
-            eds.read(options.eds, pdos(options, outputs=bool(config.outputs)))
+            eds.read_product(options.eds, required_pdos(options, outputs=bool(config.outputs)))
 
-    def driver(self, setup: Setup) -> CiaDriver:
+    def create_driver(self, setup: DriverSetup) -> Cia402Driver:
         options = setup.options
-        assert isinstance(options, Options)
-        return CiaDriver(setup, options)
+        assert isinstance(options, Cia402Options)
+        return Cia402Driver(setup, options)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """A quick stop, by SDO because nobody knows what its PDOs carry; first of all what waits for a SYNC is
-        overwritten by one, because that SYNC may still be fired."""
-        node = fleetaxes.node(config)
+        """Return a quick stop, by SDO because the mapping of its PDOs is unknown; before it, a frame overwrites the
+        command that waits for a SYNC, because that SYNC may still be sent."""
+        node = fleetaxes.node_number(config)
         waiting = CONTROLWORD.encode(states.QUICK_STOP)
         if config.outputs:
             waiting += OUTPUTS.encode(fleetaxes.passive_outputs(config))

@@ -1,11 +1,11 @@
-"""One drive on the bus as the adapter knows it: its state as it says by itself, and the orders that it was given."""
+"""One drive on the bus: its state as it reports it, and the commands that it was given."""
 
 import asyncio
 from collections.abc import Callable
 from typing import NamedTuple
 
 from adapters.cia402 import states
-from adapters.cia402.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Bus
+from adapters.cia402.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Cia402Bus
 from adapters.cia402.objects import (
     ACCELERATION,
     ACTUAL,
@@ -20,58 +20,58 @@ from adapters.cia402.objects import (
     STATUSWORD,
     TARGET,
     VELOCITY,
-    Obj,
+    DictionaryObject,
 )
-from adapters.cia402.sdo import SdoClient, bus_off
-from adapters.cia402.states import State, state_of
+from adapters.cia402.sdo import SdoClient, bus_off_fault
+from adapters.cia402.states import DriveState, drive_state_of
 from adapters.cia402.words import emergency_text
-from adapters.contract import CannotDo
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
+from orchestrator.model.errors import Refusal
 
 _BOOT_UP = 0x00
 
 
-class Answer(NamedTuple):
-    """What a drive has said to a SYNC: its statusword, and its demanded position when the SYNC came."""
+class SyncAnswer(NamedTuple):
+    """A drive's answer to a SYNC: its statusword, and its demanded position when the SYNC came."""
 
     at_ns: int
     status: int
     demand: int
 
 
-class Node:
-    """State and orders of one drive, while a connection lasts. Positions in counts."""
+class BusDrive:
+    """State and commands of one drive during a connection. Positions in counts."""
 
-    def __init__(self, bus: Bus, number: int, name: str, answer_ns: int, *, outputs: bool) -> None:
+    def __init__(self, bus: Cia402Bus, number: int, name: str, answer_ns: int, *, outputs: bool) -> None:
         self.bus = bus
         self.number = number
         self.name = name
         self.answer_ns = answer_ns
         self.sdo = SdoClient(bus, number, name, answer_ns)
         self.has_outputs = outputs
-        self.followed: Obj | None = None
+        self.followed: DictionaryObject | None = None
         """The object of the positions that are streamed to it; None: none are, so RPDO 4 carries its ramps."""
-        self.answer = Answer(0, 0, 0)
-        """To the last SYNC, of a drive that follows positions."""
+        self.answer = SyncAnswer(0, 0, 0)
+        """Answer to the last SYNC, of a drive that follows positions."""
         self.status = self.mode = 0
         self.demand = self.actual = self.velocity = self.inputs = 0
         self.control = self.wanted_mode = self.outputs = 0
         self.mapped = False
-        """Its PDOs are as the adapter wants them."""
+        """Whether its PDOs are mapped as the adapter requires."""
         self.loaded = False
-        """A controlword waits in it for a SYNC."""
+        """Whether a controlword waits in it for a SYNC."""
         self.stops = 0
         self.drops = 0
-        """How often it has left operation enabled, by its own word."""
+        """How often it has left operation enabled, by its statusword."""
         self.boots = 0
         self.left_bus = 0
         """How often this computer has left the bus."""
         self.emergencies: dict[int, str] = {}
         self.heard_ns = self.state_ns = self.moved_ns = self.acknowledged_ns = 0
         self.nmt = _BOOT_UP
-        """Its NMT state, as its last heartbeat told."""
+        """Its NMT state, from its last heartbeat."""
         self.beat_ns = 0
         self._watchers: list[asyncio.Future[None]] = []
         self._closed: LinkClosed | None = None
@@ -81,88 +81,88 @@ class Node:
         return self.bus.clock
 
     @property
-    def state(self) -> State:
-        return state_of(self.status)
+    def state(self) -> DriveState:
+        return drive_state_of(self.status)
 
     @property
-    def enabled(self) -> bool:
-        return self.state is State.ENABLED
+    def is_enabled(self) -> bool:
+        return self.state is DriveState.ENABLED
 
-    # What it says
+    # Reception
 
-    def hear(self, function: int, frame: CanFrame, at_ns: int) -> None:
+    def handle_frame(self, function: int, frame: CanFrame, at_ns: int) -> None:
         data = frame.data
         self.heard_ns = at_ns
         if function == SDO_ANSWER:
-            self.sdo.hear(data, at_ns)
-        elif function == TPDO[0] and len(data) == STATUSWORD.size + MODE_DISPLAY.size:
-            self.take_status(STATUSWORD.decode(data), at_ns)
+            self.sdo.handle_answer(data, at_ns)
+        elif function == TPDO[0] and len(data) == STATUSWORD.byte_size + MODE_DISPLAY.byte_size:
+            self.handle_status(STATUSWORD.decode(data), at_ns)
             self.mode = MODE_DISPLAY.decode(data[2:])
-        elif function == TPDO[1] and len(data) == DEMAND.size + ACTUAL.size:
+        elif function == TPDO[1] and len(data) == DEMAND.byte_size + ACTUAL.byte_size:
             demand = DEMAND.decode(data)
             if demand != self.demand:
                 self.moved_ns = at_ns
             self.demand, self.actual, self.state_ns = demand, ACTUAL.decode(data[4:]), at_ns
-        elif function == TPDO[2] and len(data) == INPUTS.size + VELOCITY.size:
+        elif function == TPDO[2] and len(data) == INPUTS.byte_size + VELOCITY.byte_size:
             self.inputs, self.velocity = INPUTS.decode(data), VELOCITY.decode(data[4:])
-        elif function == TPDO[3] and len(data) == STATUSWORD.size + DEMAND.size:
-            # It may have waited for the bus longer than what the others say: it is no news of the present state.
-            self.answer = Answer(at_ns, STATUSWORD.decode(data), DEMAND.decode(data[2:]))
+        elif function == TPDO[3] and len(data) == STATUSWORD.byte_size + DEMAND.byte_size:
+            # It may have waited for the bus longer than other messages: it does not show the present state.
+            self.answer = SyncAnswer(at_ns, STATUSWORD.decode(data), DEMAND.decode(data[2:]))
         elif function == EMCY and len(data) == 8:
-            self._emergency(int.from_bytes(data[:2], "little"))
+            self._handle_emergency(int.from_bytes(data[:2], "little"))
         elif function == HEARTBEAT and len(data) == 1:
-            self._beat(data[0], at_ns)
-        self._wake()
+            self._handle_heartbeat(data[0], at_ns)
+        self._wake_watchers()
 
-    def take_status(self, status: int, at_ns: int) -> None:
-        """A statusword, from wherever it comes."""
+    def handle_status(self, status: int, at_ns: int) -> None:
+        """Handle a statusword from any source."""
         if status & states.ACKNOWLEDGED and not self.status & states.ACKNOWLEDGED:
             self.acknowledged_ns = at_ns
-        enabled = self.enabled
+        enabled = self.is_enabled
         self.status = status
-        self.drops += enabled and not self.enabled
+        self.drops += enabled and not self.is_enabled
 
-    def _emergency(self, code: int) -> None:
+    def _handle_emergency(self, code: int) -> None:
         if code == 0:
             self.emergencies.clear()
         else:
             self.emergencies[code] = emergency_text(code)
 
-    def _beat(self, state: int, at_ns: int) -> None:
+    def _handle_heartbeat(self, state: int, at_ns: int) -> None:
         if state == _BOOT_UP:
-            self._booted()
+            self._handle_boot_up()
         self.nmt, self.beat_ns = state, at_ns
 
-    def _booted(self) -> None:
-        """It was switched off and on: it has forgotten everything, its PDOs first."""
+    def _handle_boot_up(self) -> None:
+        """Handle a boot-up: the drive was power-cycled and has lost everything, its PDO mapping first."""
         self.boots += 1
-        self.drops += self.enabled
+        self.drops += self.is_enabled
         self.mapped = self.loaded = False
         self.control = self.wanted_mode = self.outputs = self.status = 0
         self.emergencies.clear()
 
-    def bus_off(self, off: bool) -> None:
+    def handle_bus_off(self, off: bool) -> None:
         if off:
             self.left_bus += 1
-            self.sdo.fail(bus_off(self.name))
-        self._wake()
+            self.sdo.fail_request(bus_off_fault(self.name))
+        self._wake_watchers()
 
-    def lost(self, error: LinkClosed) -> None:
+    def handle_link_loss(self, error: LinkClosed) -> None:
         self._closed = error
-        self.sdo.fail(error)
-        self._wake()
+        self.sdo.fail_request(error)
+        self._wake_watchers()
 
-    def _wake(self) -> None:
+    def _wake_watchers(self) -> None:
         for watcher in self._watchers:
             if not watcher.done():
                 watcher.set_result(None)
 
-    def wake(self) -> None:
-        """Whoever waits looks again."""
-        self._wake()
+    def wake_waiting(self) -> None:
+        """Wake all waiting tasks to check their conditions."""
+        self._wake_watchers()
 
-    async def until(self, condition: Callable[[], bool], until_ns: int) -> bool:
-        """Wait until `condition` holds, at most until that instant; whether it does. Raises `LinkClosed`."""
+    async def wait_until(self, condition: Callable[[], bool], until_ns: int) -> bool:
+        """Wait until `condition` holds, at most until that instant; return whether it does. Raises `LinkClosed`."""
         while True:
             if self._closed is not None:
                 raise self._closed
@@ -173,80 +173,81 @@ class Node:
             watcher: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             self._watchers.append(watcher)
 
-            def late(watcher: "asyncio.Future[None]" = watcher) -> None:
+            def time_out(watcher: "asyncio.Future[None]" = watcher) -> None:
                 if not watcher.done():
                     watcher.set_result(None)
 
-            timer = self.clock.call_at_ns(until_ns, late)
+            timer = self.clock.call_at_ns(until_ns, time_out)
             try:
                 await watcher
             finally:
                 timer.cancel()
                 self._watchers.remove(watcher)
 
-    async def look(self) -> None:
-        """Ask for its statusword. Raises `DriverFault` when it does not answer."""
-        self.take_status(await self.sdo.read(STATUSWORD), self.clock.now_ns())
-        self._wake()
+    async def query_status(self) -> None:
+        """Query its statusword. Raises `ControllerFault` without an answer."""
+        self.handle_status(await self.sdo.read_value(STATUSWORD), self.clock.now_ns())
+        self._wake_watchers()
 
-    async def soon(self, condition: Callable[[], bool]) -> bool:
-        """`until` for what a drive does at once."""
-        return await self.until(condition, self.clock.now_ns() + self.answer_ns)
+    async def wait_briefly(self, condition: Callable[[], bool]) -> bool:
+        """Like `wait_until`, for reactions that a drive shows at once."""
+        return await self.wait_until(condition, self.clock.now_ns() + self.answer_ns)
 
-    # What it is told
+    # Commands
 
-    def order(self, control: int, mode: int | None = None) -> None:
-        """Give it a controlword, taken at once. Raises `LinkClosed`."""
-        self.bus.send(*self.orders(control, mode))
+    def send_control(self, control: int, mode: int | None = None) -> None:
+        """Send a controlword that takes effect at once. Raises `LinkClosed`."""
+        self.bus.send_frames(*self.control_frames(control, mode))
 
-    def orders(self, control: int, mode: int | None = None) -> list[CanFrame]:
-        """The frames of `order`. What waits for a SYNC is overwritten, too, so that it asks for nothing else."""
+    def control_frames(self, control: int, mode: int | None = None) -> list[CanFrame]:
+        """Return the frames of `send_control`. They also overwrite a command that waits for a SYNC, so that it requests
+        nothing else."""
         self.control = control
         if mode is not None:
             self.wanted_mode = mode
-        now = CONTROLWORD.encode(control) + MODE.encode(self.wanted_mode) + self._switched()
+        now = CONTROLWORD.encode(control) + MODE.encode(self.wanted_mode) + self._output_bytes()
         frames = [CanFrame(RPDO[1] + self.number, now)]
-        return [self.at_sync(control), *frames] if self.loaded else frames
+        return [self.control_at_sync(control), *frames] if self.loaded else frames
 
-    def at_sync(self, control: int, outputs: int | None = None) -> CanFrame:
-        """A controlword that is taken with the next SYNC; with outputs, where some are named."""
-        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + self._switched(outputs))
+    def control_at_sync(self, control: int, outputs: int | None = None) -> CanFrame:
+        """Return a controlword that takes effect with the next SYNC; with outputs, where some are named."""
+        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + self._output_bytes(outputs))
 
-    async def set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
-        """Give it a target with its profile, all in the drive's units; it is gone to when a controlword says so.
+    async def load_set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
+        """Load a target with its profile, all in the drive's units; a controlword starts the motion.
 
-        Raises as `SdoClient.write`.
+        Raises like `SdoClient.write_value`.
         """
         number = self.number
         goal = CanFrame(RPDO[2] + number, TARGET.encode(target) + PROFILE_VELOCITY.encode(velocity))
         if self.followed is None:
             ramps = CanFrame(RPDO[3] + number, ACCELERATION.encode(acceleration) + DECELERATION.encode(deceleration))
-            self.bus.send(goal, ramps)
+            self.bus.send_frames(goal, ramps)
         else:
-            await self.sdo.write(ACCELERATION, acceleration)
-            await self.sdo.write(DECELERATION, deceleration)
-            self.bus.send(goal)
+            await self.sdo.write_value(ACCELERATION, acceleration)
+            await self.sdo.write_value(DECELERATION, deceleration)
+            self.bus.send_frames(goal)
 
-    def position(self, counts: int) -> CanFrame:
-        """A position of a stream, taken with the next SYNC."""
+    def position_frame(self, counts: int) -> CanFrame:
+        """Return a position of a stream, which takes effect with the next SYNC."""
         assert self.followed is not None
         return CanFrame(RPDO[3] + self.number, self.followed.encode(counts))
 
-    def _switched(self, outputs: int | None = None) -> bytes:
+    def _output_bytes(self, outputs: int | None = None) -> bytes:
         if not self.has_outputs:
             return b""
         return OUTPUTS.encode(self.outputs if outputs is None else outputs)
 
-    # Judging it
+    # Evaluation
 
-    def require_well(self) -> None:
-        """Raises `CannotDo` when it has a fault, or can not be reached."""
-        if self.bus.off:
-            fault = bus_off(self.name).fault
-            raise CannotDo(fault.code, fault.text, fault.remedy)
-        if self.state in (State.FAULT, State.REACTION):
-            raise CannotDo("fault", f"{self.name} has a fault: {self.why()}", "clear it with `tutti reset`")
+    def require_operational(self) -> None:
+        """Raise `Refusal` when it has a fault, or is unreachable."""
+        if self.bus.is_off:
+            fault = bus_off_fault(self.name)
+            raise Refusal(fault.code, fault.text, fault.remedy)
+        if self.state in (DriveState.FAULT, DriveState.REACTION):
+            raise Refusal("fault", f"{self.name} has a fault: {self.fault_text()}", "clear it with `tutti reset`")
 
-    def why(self) -> str:
-        """What is wrong, by its emergency messages."""
-        return "; ".join(self.emergencies.values()) or "it has not said which"
+    def fault_text(self) -> str:
+        """Return the cause of its fault, from its emergency messages."""
+        return "; ".join(self.emergencies.values()) or "the drive has not reported the cause"

@@ -1,11 +1,11 @@
-"""Objects of CiA 301 and CiA 402 that the adapter reads, writes and maps, by their names in the standards."""
+"""Objects of CiA 301 and CiA 402 that the adapter reads, writes and maps, with their names in the standards."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Obj:
-    """One variable of the object dictionary. bits: its length on the wire."""
+class DictionaryObject:
+    """One variable of the object dictionary. bits: its length in a frame."""
 
     index: int
     sub: int
@@ -14,82 +14,88 @@ class Obj:
     signed: bool = False
 
     @property
-    def mapping(self) -> int:
-        """Its entry in a mapping parameter object (CiA 301: index, sub-index, length)."""
+    def mapping_entry(self) -> int:
+        """Return its entry in a mapping parameter object (CiA 301: index, sub-index, length)."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     @property
-    def size(self) -> int:
-        """Bytes."""
+    def byte_size(self) -> int:
+        """Return its length in bytes."""
         return self.bits // 8
 
     def encode(self, value: int) -> bytes:
-        return value.to_bytes(self.size, "little", signed=self.signed)
+        return value.to_bytes(self.byte_size, "little", signed=self.signed)
 
     def decode(self, data: bytes) -> int:
-        return int.from_bytes(data[: self.size], "little", signed=self.signed)
+        return int.from_bytes(data[: self.byte_size], "little", signed=self.signed)
 
     def __str__(self) -> str:
         return f"{self.name} ({self.index:04X}h:{self.sub:02X})"
 
 
-DEVICE_TYPE = Obj(0x1000, 0, 32, "device type")
-ERROR_REGISTER = Obj(0x1001, 0, 8, "error register")
-CONSUMER = Obj(0x1016, 1, 32, "consumer heartbeat time")
-HEARTBEAT = Obj(0x1017, 0, 16, "producer heartbeat time")
-VENDOR = Obj(0x1018, 1, 32, "vendor-ID")
-PRODUCT = Obj(0x1018, 2, 32, "product code")
-SERIAL = Obj(0x1018, 4, 32, "serial number")
-DEVICE_NAME = Obj(0x1008, 0, 0, "manufacturer device name")
-SOFTWARE = Obj(0x100A, 0, 0, "manufacturer software version")
+DEVICE_TYPE = DictionaryObject(0x1000, 0, 32, "device type")
+ERROR_REGISTER = DictionaryObject(0x1001, 0, 8, "error register")
+CONSUMER = DictionaryObject(0x1016, 1, 32, "consumer heartbeat time")
+HEARTBEAT = DictionaryObject(0x1017, 0, 16, "producer heartbeat time")
+VENDOR = DictionaryObject(0x1018, 1, 32, "vendor-ID")
+PRODUCT = DictionaryObject(0x1018, 2, 32, "product code")
+SERIAL = DictionaryObject(0x1018, 4, 32, "serial number")
+DEVICE_NAME = DictionaryObject(0x1008, 0, 0, "manufacturer device name")
+SOFTWARE = DictionaryObject(0x100A, 0, 0, "manufacturer software version")
 
-ABORT_CONNECTION_OPTION = Obj(0x6007, 0, 16, "abort connection option code", signed=True)
-ERROR_CODE = Obj(0x603F, 0, 16, "error code")
-CONTROLWORD = Obj(0x6040, 0, 16, "controlword")
-STATUSWORD = Obj(0x6041, 0, 16, "statusword")
-QUICK_STOP_OPTION = Obj(0x605A, 0, 16, "quick stop option code", signed=True)
-HALT_OPTION = Obj(0x605D, 0, 16, "halt option code", signed=True)
-MODE = Obj(0x6060, 0, 8, "modes of operation", signed=True)
-MODE_DISPLAY = Obj(0x6061, 0, 8, "modes of operation display", signed=True)
-DEMAND = Obj(0x6062, 0, 32, "position demand value", signed=True)
-ACTUAL = Obj(0x6064, 0, 32, "position actual value", signed=True)
-VELOCITY = Obj(0x606C, 0, 32, "velocity actual value", signed=True)
-TARGET = Obj(0x607A, 0, 32, "target position", signed=True)
-HOME_OFFSET = Obj(0x607C, 0, 32, "home offset", signed=True)
-LIMIT_LOW = Obj(0x607D, 1, 32, "min position limit", signed=True)
-LIMIT_HIGH = Obj(0x607D, 2, 32, "max position limit", signed=True)
-POLARITY = Obj(0x607E, 0, 8, "polarity")
-PROFILE_VELOCITY = Obj(0x6081, 0, 32, "profile velocity")
-ACCELERATION = Obj(0x6083, 0, 32, "profile acceleration")
-DECELERATION = Obj(0x6084, 0, 32, "profile deceleration")
-QUICK_STOP_DECELERATION = Obj(0x6085, 0, 32, "quick stop deceleration")
-PROFILE_TYPE = Obj(0x6086, 0, 16, "motion profile type", signed=True)
-ENCODER = (Obj(0x608F, 1, 32, "encoder increments"), Obj(0x608F, 2, 32, "motor revolutions of 608Fh"))
-GEAR = (Obj(0x6091, 1, 32, "gear motor revolutions"), Obj(0x6091, 2, 32, "gear shaft revolutions"))
-FEED = (Obj(0x6092, 1, 32, "feed"), Obj(0x6092, 2, 32, "shaft revolutions of 6092h"))
-HOMING_METHOD = Obj(0x6098, 0, 8, "homing method", signed=True)
-HOMING_SWITCH_SPEED = Obj(0x6099, 1, 32, "speed during search for switch")
-HOMING_ZERO_SPEED = Obj(0x6099, 2, 32, "speed during search for zero")
-HOMING_ACCELERATION = Obj(0x609A, 0, 32, "homing acceleration")
-INPUTS = Obj(0x60FD, 0, 32, "digital inputs")
-OUTPUTS = Obj(0x60FE, 1, 32, "physical outputs")
-OUTPUT_MASK = Obj(0x60FE, 2, 32, "output bit mask")
-INTERPOLATION_POSITION = Obj(0x60C1, 1, 32, "interpolation data record", signed=True)
-PERIOD = Obj(0x60C2, 1, 8, "interpolation time period value")
-PERIOD_INDEX = Obj(0x60C2, 2, 8, "interpolation time index", signed=True)
-SUPPORTED_MODES = Obj(0x6502, 0, 32, "supported drive modes")
+ABORT_CONNECTION_OPTION = DictionaryObject(0x6007, 0, 16, "abort connection option code", signed=True)
+ERROR_CODE = DictionaryObject(0x603F, 0, 16, "error code")
+CONTROLWORD = DictionaryObject(0x6040, 0, 16, "controlword")
+STATUSWORD = DictionaryObject(0x6041, 0, 16, "statusword")
+QUICK_STOP_OPTION = DictionaryObject(0x605A, 0, 16, "quick stop option code", signed=True)
+HALT_OPTION = DictionaryObject(0x605D, 0, 16, "halt option code", signed=True)
+MODE = DictionaryObject(0x6060, 0, 8, "modes of operation", signed=True)
+MODE_DISPLAY = DictionaryObject(0x6061, 0, 8, "modes of operation display", signed=True)
+DEMAND = DictionaryObject(0x6062, 0, 32, "position demand value", signed=True)
+ACTUAL = DictionaryObject(0x6064, 0, 32, "position actual value", signed=True)
+VELOCITY = DictionaryObject(0x606C, 0, 32, "velocity actual value", signed=True)
+TARGET = DictionaryObject(0x607A, 0, 32, "target position", signed=True)
+HOME_OFFSET = DictionaryObject(0x607C, 0, 32, "home offset", signed=True)
+LIMIT_LOW = DictionaryObject(0x607D, 1, 32, "min position limit", signed=True)
+LIMIT_HIGH = DictionaryObject(0x607D, 2, 32, "max position limit", signed=True)
+POLARITY = DictionaryObject(0x607E, 0, 8, "polarity")
+PROFILE_VELOCITY = DictionaryObject(0x6081, 0, 32, "profile velocity")
+ACCELERATION = DictionaryObject(0x6083, 0, 32, "profile acceleration")
+DECELERATION = DictionaryObject(0x6084, 0, 32, "profile deceleration")
+QUICK_STOP_DECELERATION = DictionaryObject(0x6085, 0, 32, "quick stop deceleration")
+PROFILE_TYPE = DictionaryObject(0x6086, 0, 16, "motion profile type", signed=True)
+ENCODER = (
+    DictionaryObject(0x608F, 1, 32, "encoder increments"),
+    DictionaryObject(0x608F, 2, 32, "motor revolutions of 608Fh"),
+)
+GEAR = (
+    DictionaryObject(0x6091, 1, 32, "gear motor revolutions"),
+    DictionaryObject(0x6091, 2, 32, "gear shaft revolutions"),
+)
+FEED = (DictionaryObject(0x6092, 1, 32, "feed"), DictionaryObject(0x6092, 2, 32, "shaft revolutions of 6092h"))
+HOMING_METHOD = DictionaryObject(0x6098, 0, 8, "homing method", signed=True)
+HOMING_SWITCH_SPEED = DictionaryObject(0x6099, 1, 32, "speed during search for switch")
+HOMING_ZERO_SPEED = DictionaryObject(0x6099, 2, 32, "speed during search for zero")
+HOMING_ACCELERATION = DictionaryObject(0x609A, 0, 32, "homing acceleration")
+INPUTS = DictionaryObject(0x60FD, 0, 32, "digital inputs")
+OUTPUTS = DictionaryObject(0x60FE, 1, 32, "physical outputs")
+OUTPUT_MASK = DictionaryObject(0x60FE, 2, 32, "output bit mask")
+INTERPOLATION_POSITION = DictionaryObject(0x60C1, 1, 32, "interpolation data record", signed=True)
+PERIOD = DictionaryObject(0x60C2, 1, 8, "interpolation time period value")
+PERIOD_INDEX = DictionaryObject(0x60C2, 2, 8, "interpolation time index", signed=True)
+SUPPORTED_MODES = DictionaryObject(0x6502, 0, 32, "supported drive modes")
 
 PROFILE_POSITION_MODE = 1
 HOMING_MODE = 6
 INTERPOLATED_MODE = 7
 CYCLIC_MODE = 8
 FOLLOWED = {CYCLIC_MODE: TARGET, INTERPOLATED_MODE: INTERPOLATION_POSITION}
-"""Modes in which a drive follows positions that come with SYNC, the better one first, and the object of those."""
+"""Modes in which a drive follows positions that come with SYNC, the preferred one first, and their object."""
 
 FIRST_POINT_BIT = 16
-"""Inputs and outputs 1 to 16 are the maker's bits 16 to 31 of 60FDh and 60FEh."""
+"""Inputs and outputs 1 to 16 are the manufacturer-specific bits 16 to 31 of 60FDh and 60FEh."""
 
 
 def point_bit(number: int) -> int:
-    """The bit of input or output `number`."""
+    """Return the bit of input or output `number`."""
     return 1 << (FIRST_POINT_BIT + number - 1)

@@ -1,65 +1,67 @@
-"""One drive in a stream of positions: what it is told with each SYNC, and whether it follows, by its own answers."""
+"""One drive in a stream of positions: its set-point for each SYNC, and the check of its answers."""
 
 from collections.abc import Callable
 
 from adapters.cia402 import states
-from adapters.cia402.course import Course
-from adapters.cia402.node import Node
+from adapters.cia402.course import SetpointTrajectory
+from adapters.cia402.node import BusDrive
 from orchestrator.link.can import CanFrame
 
 
-class Ride:
-    """The way of a drive along its course. failed: called once, when it can not go on; the reason is `trouble`."""
+class StreamedMove:
+    """The motion of a drive along its set-point trajectory. failed: called once, when the motion cannot continue; the
+    reason is `failure`."""
 
-    def __init__(self, node: Node, course: Course, failed: Callable[[], None]) -> None:
+    def __init__(self, node: BusDrive, trajectory: SetpointTrajectory, failed: Callable[[], None]) -> None:
         self._node = node
-        self._point = course.points()
+        self._setpoint_at = trajectory.setpoint_function()
         self._failed = failed
         self._written_ns = 0
-        self.count = course.count
-        self.trouble = ""
-        self.arrived = False
+        self.position_count = trajectory.point_count
+        self.failure = ""
+        self.has_arrived = False
         self.last_written_ns = 0
-        """When the SYNC was handed over that has it go to its end."""
-        self.last_heard_ns = 0
-        """When its answer to that came; 0: it was not looked for in time."""
+        """When the SYNC of its end position was written."""
+        self.last_answer_ns = 0
+        """When its answer to that SYNC arrived; 0: it was not checked in time."""
 
     @property
-    def done(self) -> bool:
-        """Arrived, or failed."""
-        return self.arrived or bool(self.trouble)
+    def is_done(self) -> bool:
+        """Whether it has arrived, or failed."""
+        return self.has_arrived or bool(self.failure)
 
-    def frame(self, number: int) -> CanFrame:
-        return self._node.position(self._point(number))
+    def position_frame(self, number: int) -> CanFrame:
+        return self._node.position_frame(self._setpoint_at(number))
 
-    def written(self, number: int, at_ns: int) -> None:
+    def record_write(self, number: int, at_ns: int) -> None:
         self._written_ns = at_ns
-        if number == self.count - 1:
+        if number == self.position_count - 1:
             self.last_written_ns = at_ns
 
-    def judge(self, number: int) -> None:
-        """With each SYNC it says where it has come to: by then, to the position of the SYNC before."""
+    def check_answer(self, number: int) -> None:
+        """Check its answer to a SYNC, which contains its demanded position: at that time, the position of the previous
+        SYNC."""
         node, answer = self._node, self._node.answer
-        if self.done or not node.enabled:
-            return  # what has befallen it is told by its state
+        if self.is_done or not node.is_enabled:
+            return  # its state shows what has happened
         if answer.at_ns <= self._written_ns:
-            self.fail(f"has not answered SYNC {number} of its stream (underrun)")
+            self.fail_stream(f"has not answered SYNC {number} of its stream (underrun)")
         elif not answer.status & states.FOLLOWS:
-            self.fail("does not follow the positions of its stream: bit 12 of its statusword is off")
-        elif abs(answer.demand - self._point(number - 2)) < abs(answer.demand - self._point(number - 1)):
-            self.fail(f"had no position with SYNC {number - 1} of its stream (underrun)")
-        elif number == self.count - 1:
-            self.last_heard_ns = answer.at_ns
-        elif number > self.count and answer.demand == self._point(number):
-            self.arrived = True
-            node.demand = answer.demand  # what it says by itself may come later
-            node.wake()
+            self.fail_stream("does not follow the positions of its stream: bit 12 of its statusword is off")
+        elif abs(answer.demand - self._setpoint_at(number - 2)) < abs(answer.demand - self._setpoint_at(number - 1)):
+            self.fail_stream(f"had no position with SYNC {number - 1} of its stream (underrun)")
+        elif number == self.position_count - 1:
+            self.last_answer_ns = answer.at_ns
+        elif number > self.position_count and answer.demand == self._setpoint_at(number):
+            self.has_arrived = True
+            node.demand = answer.demand  # its unsolicited message may come later
+            node.wake_waiting()
 
-    def fail(self, text: str) -> None:
-        if not self.done:
-            self.trouble = text
+    def fail_stream(self, text: str) -> None:
+        if not self.is_done:
+            self.failure = text
             self._failed()
-            self._node.wake()
+            self._node.wake_waiting()
 
-    def over(self) -> None:
-        self.fail("has not come to the end of its stream")
+    def end_stream(self) -> None:
+        self.fail_stream("has not reached the end of its stream")

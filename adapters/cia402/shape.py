@@ -1,7 +1,7 @@
 """The drive's own profile: a trapezoid from whole numbers for velocity, acceleration and deceleration.
 
-Three whole numbers are chosen together: the velocity near the planned one, the acceleration for what the duration then
-needs, the deceleration for what the rounding of both has left.
+Three whole numbers are chosen together: the velocity near the planned one, the acceleration that the duration then
+requires, and the deceleration that compensates for the rounding of both.
 """
 
 from collections.abc import Iterator
@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 WORD_MAX = 0xFFFF_FFFF
 _GOOD_ENOUGH_S = 1e-7
-_VELOCITIES = 12  # tried on each side of the exact one
-_ACCELERATIONS = (8, 60)  # the same; the more when few have not been enough
+_VELOCITIES = 12  # tried on each side of the exact value
+_ACCELERATIONS = (8, 60)  # the same; the larger number when the smaller one has not sufficed
 _ENOUGH_S = 20e-6
 
 
-class Leg(NamedTuple):
-    """A stretch of constant acceleration: length (s), speed at its start (counts/s), acceleration (counts/s²)."""
+class DriveLeg(NamedTuple):
+    """A segment of constant acceleration: length (s), speed at its start (counts/s), acceleration (counts/s²)."""
 
     duration_s: float
     speed: float
@@ -25,59 +25,62 @@ class Leg(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Units:
-    """The drive's units: of 6081h that make one count/s, and of 6083h and 6084h that make one count/s²."""
+class DriveUnits:
+    """The drive's units: units of 6081h per count/s, and of 6083h and 6084h per count/s²."""
 
     velocity: float
     acceleration: float
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """What an axis may do: counts/s, counts/s²."""
+class DriveBounds:
+    """Limits of an axis: counts/s, counts/s²."""
 
     velocity: float
     acceleration: float
 
 
 @dataclass(frozen=True, slots=True)
-class Trapezoid:
+class DriveTrapezoid:
     """A move of `distance` counts (> 0) with three numbers in the drive's units."""
 
     distance: int
     velocity: int
     acceleration: int
     deceleration: int
-    units: Units
+    units: DriveUnits
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
+    def motion_legs(self) -> tuple[DriveLeg, ...]:
         v = self.velocity / self.units.velocity
         a, d = self.acceleration / self.units.acceleration, self.deceleration / self.units.acceleration
         ramps = v * v / 2 * (1 / a + 1 / d)
         if ramps >= self.distance:
             peak = sqrt(2 * self.distance / (1 / a + 1 / d))
-            return Leg(peak / a, 0.0, a), Leg(peak / d, peak, -d)
-        return Leg(v / a, 0.0, a), Leg((self.distance - ramps) / v, v, 0.0), Leg(v / d, v, -d)
+            return DriveLeg(peak / a, 0.0, a), DriveLeg(peak / d, peak, -d)
+        return DriveLeg(v / a, 0.0, a), DriveLeg((self.distance - ramps) / v, v, 0.0), DriveLeg(v / d, v, -d)
 
     @property
     def duration_s(self) -> float:
-        """By the drive's own crystal."""
-        return sum(leg.duration_s for leg in self.legs)
+        """Return the duration by the drive's own crystal."""
+        return sum(leg.duration_s for leg in self.motion_legs)
 
 
-def fit(distance: int, duration_s: float, peak: float, bounds: Bounds, units: Units) -> Trapezoid | None:
-    """The trapezoid within `bounds` whose duration is nearest to `duration_s`, with about the planned peak velocity.
+def fit_trapezoid(
+    distance: int, duration_s: float, peak: float, bounds: DriveBounds, units: DriveUnits
+) -> DriveTrapezoid | None:
+    """Return the trapezoid within `bounds` whose duration is nearest to `duration_s`, with about the planned peak
+    velocity.
 
     None when no whole numbers within the bounds move the axis at all.
     """
-    most = Limits.of(bounds, units)
+    most = DriveLimits.from_bounds(bounds, units)
     if min(most.velocity, most.acceleration) < 1:
         return None
-    best: Trapezoid | None = None
+    best: DriveTrapezoid | None = None
     error_s = float("inf")
     for reach in _ACCELERATIONS:
-        for candidate in _candidates(distance, duration_s, peak, most, units, reach):
+        for candidate in _trapezoid_candidates(distance, duration_s, peak, most, units, reach):
             off_s = abs(candidate.duration_s - duration_s)
             if off_s < error_s - _GOOD_ENOUGH_S / 2:
                 best, error_s = candidate, off_s
@@ -88,48 +91,50 @@ def fit(distance: int, duration_s: float, peak: float, bounds: Bounds, units: Un
     return best
 
 
-class Limits(NamedTuple):
-    """The largest numbers that are allowed, in the drive's units."""
+class DriveLimits(NamedTuple):
+    """The largest allowed numbers, in the drive's units."""
 
     velocity: int
     acceleration: int
 
     @classmethod
-    def of(cls, bounds: Bounds, units: Units) -> "Limits":
-        def most(limit: float) -> int:
+    def from_bounds(cls, bounds: DriveBounds, units: DriveUnits) -> "DriveLimits":
+        def largest_number(limit: float) -> int:
             return min(WORD_MAX, floor(limit * (1 + 1e-9)))
 
-        return cls(most(bounds.velocity * units.velocity), most(bounds.acceleration * units.acceleration))
+        return cls(
+            largest_number(bounds.velocity * units.velocity), largest_number(bounds.acceleration * units.acceleration)
+        )
 
 
-def _candidates(
-    distance: int, duration_s: float, peak: float, most: Limits, units: Units, reach: int
-) -> Iterator[Trapezoid]:
-    def made(velocity: int, acceleration: int, deceleration: int) -> Trapezoid:
-        return Trapezoid(distance, velocity, acceleration, deceleration, units)
+def _trapezoid_candidates(
+    distance: int, duration_s: float, peak: float, most: DriveLimits, units: DriveUnits, reach: int
+) -> Iterator[DriveTrapezoid]:
+    def make_trapezoid(velocity: int, acceleration: int, deceleration: int) -> DriveTrapezoid:
+        return DriveTrapezoid(distance, velocity, acceleration, deceleration, units)
 
-    # Slower than the mean velocity it can not be in time; a hair above it the ramps are as steep as they may be.
+    # Below the mean velocity it cannot arrive in time; slightly above it the ramps have their steepest slope.
     least = max(1, floor(distance / duration_s * units.velocity))
-    for velocity in _around(peak * units.velocity, _VELOCITIES, max(1, least), most.velocity):
+    for velocity in _numbers_around(peak * units.velocity, _VELOCITIES, max(1, least), most.velocity):
         v = velocity / units.velocity
         ramps_s = duration_s - distance / v
-        # Both ramps together last 2 (T - D/v): of the velocity's half each.
+        # Both ramps together last 2 (T - D/v): each half of that for the velocity.
         inverse = 2 * ramps_s / v if ramps_s * v <= distance else duration_s**2 / (2 * distance)
         if inverse <= 0:
             continue
-        for acceleration in _around(2 / inverse * units.acceleration, reach, 1, most.acceleration):
+        for acceleration in _numbers_around(2 / inverse * units.acceleration, reach, 1, most.acceleration):
             rest = inverse - units.acceleration / acceleration
             if rest > 0:
                 exact = units.acceleration / rest
                 for deceleration in {floor(exact), ceil(exact)}:
                     if 1 <= deceleration <= most.acceleration:
-                        yield made(velocity, acceleration, deceleration)
-    yield made(most.velocity, most.acceleration, most.acceleration)  # the fastest that is allowed
-    yield made(1, 1, 1)  # and the slowest that there is
+                        yield make_trapezoid(velocity, acceleration, deceleration)
+    yield make_trapezoid(most.velocity, most.acceleration, most.acceleration)  # the fastest allowed move
+    yield make_trapezoid(1, 1, 1)  # and the slowest possible one
 
 
-def _around(exact: float, reach: int, least: int, most: int) -> list[int]:
-    """Whole numbers near `exact`, the nearest first."""
+def _numbers_around(exact: float, reach: int, least: int, most: int) -> list[int]:
+    """Return whole numbers near `exact`, the nearest first."""
     middle = max(least, min(most, round(exact)))
     near = range(max(least, middle - reach), min(most, middle + reach) + 1)
     return sorted(near, key=lambda each: abs(each - exact))

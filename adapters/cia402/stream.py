@@ -1,131 +1,144 @@
-"""Positions that drives follow, kept ahead of them: behind the SYNC that starts them, one more each period.
+"""Streamed positions, kept ahead of the drives: after the SYNC that starts them, one more position per period.
 
-All of it is written at instants that were set with the first SYNC, so that the period does not drift against this
-computer's clock, and is handed over some periods ahead, so that a busy event loop does no harm. One write has a SYNC,
-and behind it the positions for the next one, each twice: a single one that is lost is not missed. In the middle of each
-period it is judged by the drives' answers whether all have heard the SYNC and followed.
+All writes happen at instants that were set with the first SYNC, so that the period does not drift against this
+computer's clock, and are scheduled some periods ahead, so that a busy event loop does no harm. One write contains a
+SYNC, and after it the positions for the next one, each twice, so that the loss of a single frame has no effect. In the
+middle of each period the drives' answers are checked: all must have received the SYNC and followed.
 """
 
 from collections import deque
 from typing import Protocol
 
-from adapters.cia402.bus import SYNC, Bus
-from adapters.contract import FireOrder, Firer
+from adapters.cia402.bus import SYNC, Cia402Bus
+from adapters.contract import TimedWrite, TimedWriter
 from orchestrator.clock.base import sleep_until_ns
 from orchestrator.link.can import CanFrame, encode
 
-AHEAD = 5
-"""Periods that have been handed over for writing."""
-TAIL = 3
-"""SYNCs behind the last position: a SYNC may come before the drive is quite there, and have it take one period more."""
+PERIODS_AHEAD = 5
+"""Periods that are scheduled ahead."""
+TAIL_SYNCS = 3
+"""SYNCs after the last position: a SYNC may come before the drive has quite arrived, so that it takes one more
+period."""
 COPIES = 2
 
 
-class Rider(Protocol):
-    """One drive in a stream. SYNCs, and the positions that they have the drive go to, are numbered from 0."""
+class StreamFollower(Protocol):
+    """One drive in a stream. SYNCs, and the positions that they apply, are numbered from 0."""
 
     @property
-    def count(self) -> int:
-        """Its positions."""
+    def position_count(self) -> int:
+        """Return the number of its positions."""
         ...
 
-    def frame(self, number: int) -> CanFrame:
-        """A position, which the SYNC of that number takes."""
+    def position_frame(self, number: int) -> CanFrame:
+        """Return the frame of a position, which the SYNC of that number applies."""
         ...
 
-    def written(self, number: int, at_ns: int) -> None:
-        """A SYNC was handed over at host time `at_ns`."""
+    def record_write(self, number: int, at_ns: int) -> None:
+        """Record that a SYNC was written at host time `at_ns`."""
         ...
 
-    def judge(self, number: int) -> None:
-        """Its answer to a SYNC must have come."""
+    def check_answer(self, number: int) -> None:
+        """Check its answer to a SYNC, which must have arrived."""
         ...
 
-    def fail(self, text: str) -> None:
-        """The stream can not go on, because of `text`."""
+    def fail_stream(self, text: str) -> None:
+        """Handle a stream that cannot continue, because of `text`."""
         ...
 
-    def over(self) -> None:
-        """No SYNC is to come any more."""
+    def end_stream(self) -> None:
+        """Handle the end of the stream: no further SYNC comes."""
         ...
 
 
-class Stream:
+class PositionStream:
     """The SYNCs of one start. first_ns: when the first is written. period_ns: from one to the next."""
 
-    def __init__(self, bus: Bus, firer: Firer, first_ns: int, period_ns: int) -> None:
+    def __init__(self, bus: Cia402Bus, timed_writer: TimedWriter, first_ns: int, period_ns: int) -> None:
         self._bus = bus
-        self._firer = firer
+        self._timed_writer = timed_writer
         self._first_ns = first_ns
         self._period_ns = period_ns
-        self._riders: dict[int, Rider] = {}
-        self._orders: deque[FireOrder] = deque()
+        self._followers: dict[int, StreamFollower] = {}
+        self._writes: deque[TimedWrite] = deque()
 
     @property
-    def riding(self) -> bool:
-        return bool(self._riders)
+    def has_followers(self) -> bool:
+        return bool(self._followers)
 
-    def join(self, node: int, rider: Rider) -> None:
-        """Before the first SYNC."""
-        self._riders[node] = rider
+    def add_follower(self, node: int, follower: StreamFollower) -> None:
+        """Add a drive, before the first SYNC."""
+        self._followers[node] = follower
 
-    def leave(self, node: int) -> bool:
-        """It gets no further position but those that were handed over; whether it was there. No SYNC without riders."""
-        was = self._riders.pop(node, None) is not None
-        if not self._riders:
-            self.cancel()
+    def remove_follower(self, node: int) -> bool:
+        """Remove a drive: it gets no further position beyond the scheduled ones; return whether it was part of the
+        stream. No SYNC is sent without drives."""
+        was = self._followers.pop(node, None) is not None
+        if not self._followers:
+            self.cancel_writes()
         return was
 
-    def cancel(self) -> None:
-        """What was handed over is not written any more."""
-        while self._orders:
-            self._orders.popleft().cancel()
+    def cancel_writes(self) -> None:
+        """Cancel the scheduled writes."""
+        while self._writes:
+            self._writes.popleft().cancel_write()
 
-    async def run(self, written_ns: int) -> None:
-        """From the first SYNC, which was written at `written_ns`, to the last one. Raises `LinkClosed`."""
-        # Nobody knew who would ride when the first SYNC was ordered: the second positions follow alone.
-        self._order(self._at_ns(0) + self._period_ns // 4, self._positions(1))
+    async def run_stream(self, written_ns: int) -> None:
+        """Run from the first SYNC, which was written at `written_ns`, to the last one. Raises `LinkClosed`."""
+        # The drives were unknown when the first SYNC was scheduled: the second positions follow separately.
+        self._schedule_write(self._at_ns(0) + self._period_ns // 4, self._position_bytes(1))
         ordered = number = 0
         try:
-            while self._riders and number < max(rider.count for rider in self._riders.values()) + TAIL:
-                while ordered < number + AHEAD:
+            while (
+                self._followers
+                and number < max(rider.position_count for rider in self._followers.values()) + TAIL_SYNCS
+            ):
+                while ordered < number + PERIODS_AHEAD:
                     ordered += 1
-                    self._order(self._at_ns(ordered), encode(SYNC) + self._positions(ordered + 1))
+                    self._schedule_write(self._at_ns(ordered), encode(SYNC) + self._position_bytes(ordered + 1))
                 await sleep_until_ns(self._bus.clock, self._at_ns(number) + self._period_ns // 2)
-                if not self._riders:
+                if not self._followers:
                     return
-                fired = await self._orders.popleft().done()
+                fired = await self._writes.popleft().wait_until_written()
                 if fired.late:
-                    self._fail(f"had no SYNC in period {number} of its stream: this computer was too busy (underrun)")
+                    self._fail_all(
+                        f"had no SYNC in period {number} of its stream: this computer was too busy (underrun)"
+                    )
                     return
-                self._judge(number, fired.written_ns if number else written_ns)
+                self._check_answers(number, fired.written_ns if number else written_ns)
                 number += 1
         finally:
-            self.cancel()
-            for rider in list(self._riders.values()):
-                rider.over()
+            self.cancel_writes()
+            for rider in list(self._followers.values()):
+                rider.end_stream()
 
-    # Inside
+    # Internals
 
     def _at_ns(self, number: int) -> int:
         return self._first_ns + number * self._period_ns
 
-    def _order(self, at_ns: int, data: bytes) -> None:
-        """Later than by a quarter of the period it would meet the next one."""
-        self._orders.append(self._firer.schedule(self._bus.can.link, data, at_ns, at_ns + self._period_ns // 4))
+    def _schedule_write(self, at_ns: int, data: bytes) -> None:
+        """Schedule a write; a delay of more than a quarter of the period could collide with the next write."""
+        self._writes.append(
+            self._timed_writer.schedule_write(self._bus.can_link.link, data, at_ns, at_ns + self._period_ns // 4)
+        )
 
-    def _positions(self, number: int) -> bytes:
-        frames = [rider.frame(number) for rider in self._riders.values() if number < rider.count + TAIL]
+    def _position_bytes(self, number: int) -> bytes:
+        frames = [
+            rider.position_frame(number)
+            for rider in self._followers.values()
+            if number < rider.position_count + TAIL_SYNCS
+        ]
         return encode(*frames * COPIES)
 
-    def _judge(self, number: int, written_ns: int) -> None:
+    def _check_answers(self, number: int, written_ns: int) -> None:
         late_ns = self._bus.clock.now_ns() - self._at_ns(number) - self._period_ns // 2
-        for rider in list(self._riders.values()):
-            rider.written(number, written_ns)
-            # Whoever looks too late does not know which SYNC an answer is to.
+        for rider in list(self._followers.values()):
+            rider.record_write(number, written_ns)
+            # After a late check, an answer cannot be assigned to its SYNC.
             if late_ns < self._period_ns // 4:
-                rider.judge(number)
+                rider.check_answer(number)
 
-    def _fail(self, text: str) -> None:
-        for rider in list(self._riders.values()):
-            rider.fail(text)
+    def _fail_all(self, text: str) -> None:
+        for rider in list(self._followers.values()):
+            rider.fail_stream(text)

@@ -1,4 +1,4 @@
-"""What the numbers of CANopen mean: SDO abort codes (CiA 301), emergency error codes (CiA 301 and CiA 402)."""
+"""Texts of the CANopen codes: SDO abort codes (CiA 301), emergency error codes (CiA 301 and CiA 402)."""
 
 ABORTS = {
     0x0503_0000: "toggle bit not alternated",
@@ -34,7 +34,7 @@ ABORTS = {
     0x0800_0024: "no data available",
 }
 NOT_THERE = frozenset({0x0602_0000, 0x0609_0011})
-"""Aborts that say that a device does not have the object."""
+"""Abort codes of a device without the object."""
 WRONG_STATE = 0x0800_0022
 TIMED_OUT = 0x0504_0000
 
@@ -66,9 +66,9 @@ _EMERGENCIES = {
     0x8612: "reference limit",
     0x8613: "homing error",
     0x8700: "SYNC lost",
-    0xFF00: "an error of the maker's own",
+    0xFF00: "a manufacturer-specific error",
 }
-# Of the classes by the upper byte, for codes that are not known one by one (CiA 301, table of emergency error codes).
+# By class (the upper byte), for codes that are not listed individually (CiA 301, table of emergency error codes).
 _CLASSES = {
     0x10: "generic error",
     0x20: "current",
@@ -94,16 +94,16 @@ _CLASSES = {
     0x86: "positioning",
     0x90: "external error",
     0xF0: "additional functions",
-    0xFF: "an error of the maker's own",
+    0xFF: "a manufacturer-specific error",
 }
 
 
 def abort_text(code: int) -> str:
-    """An SDO abort code in words."""
+    """Return the text of an SDO abort code."""
     return f"{ABORTS.get(code, 'an abort code that CiA 301 does not list')} ({code:08X}h)"
 
 
 def emergency_text(code: int) -> str:
-    """An emergency error code in words."""
+    """Return the text of an emergency error code."""
     known = _EMERGENCIES.get(code) or _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0) or "unknown error"
     return f"{known} ({code:04X}h)"

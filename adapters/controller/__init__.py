@@ -1,1 +1,1 @@
-"""One controller on the bus, whatever its make."""
+"""One controller on the bus, independent of its make."""

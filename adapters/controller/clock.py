@@ -1,4 +1,4 @@
-"""A controller's clock mapping as it stands on the bus and in the record of a job."""
+"""A controller's clock mapping as it is published on the bus and recorded in a job's report."""
 
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
@@ -6,7 +6,7 @@ from orchestrator.model.state import ClockMapping, LearnedCrystal
 
 
 def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMapping:
-    """The bus form of a mapping. It counts as valid until its bound has grown by a tick."""
+    """Return the bus form of a mapping. It is valid until its bound has grown by one tick."""
     return ClockMapping(
         controller=controller,
         ticks_at=mapping.ticks_at,
@@ -25,7 +25,7 @@ def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMa
 
 
 def learned_crystal(rate: CrystalRate, now_ns: int) -> LearnedCrystal:
-    """A learned crystal as it is shown: with its error of now."""
+    """Return the bus form of a learned crystal, with its present uncertainty."""
     return LearnedCrystal(
         rate_ppm=rate.rate_ppm,
         bound_ppm=rate.bound_ppm(now_ns, 0.0),

@@ -1,4 +1,4 @@
-"""Commands to a controller, from the bus: each verb with its request, done once, answered with a value."""
+"""Commands to a controller from the bus: each verb with its request, executed once, answered with a value."""
 
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -7,35 +7,35 @@ from typing import Any, Protocol
 
 from pydantic import ValidationError
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.controller.context import Seat
-from adapters.controller.fencing import Fence
-from adapters.controller.jogging import Jogging
-from adapters.controller.leases import Leases
-from adapters.controller.motors import Motors
-from adapters.controller.participant import Member, Phase
-from adapters.controller.publisher import Presenter, explain
-from adapters.controller.referencing import Referencing
-from adapters.controller.status import Condition
-from adapters.controller.store import Remembered
+from adapters.controller.context import ControllerContext
+from adapters.controller.fencing import EpochFence
+from adapters.controller.jogging import JogControl
+from adapters.controller.leases import MotionLeases
+from adapters.controller.motors import MotorControl
+from adapters.controller.participant import StepParticipant, StepPhase
+from adapters.controller.publisher import StatePublisher, first_error_text
+from adapters.controller.referencing import AxisReferencing
+from adapters.controller.status import ControllerStatus
+from adapters.controller.store import PersistentMemory
 from orchestrator.bus.answers import Answers
 from orchestrator.bus.base import RequestRefused, Sample
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.trace import Direction
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
-    Adopt,
-    Adopted,
-    Arm,
-    Armed,
-    Commit,
+    AdoptedReply,
+    AdoptRequest,
+    ArmedReply,
+    ArmRequest,
+    CommitRequest,
     ConfigureRequest,
-    Disarm,
-    Disarmed,
+    DisarmedReply,
+    DisarmRequest,
     EnableRequest,
-    Fenced,
-    Go,
+    FencedRequest,
+    GoRequest,
     HomeReply,
     HomeRequest,
     JogRequest,
@@ -44,273 +44,284 @@ from orchestrator.model.messages import (
     LeaseRequest,
     OutputRequest,
     Proposal,
-    Propose,
-    Raw,
+    ProposeRequest,
     RawReply,
-    Refusal,
+    RawRequest,
+    RefusalDetails,
     Reply,
     Request,
-    Reset,
+    ResetRequest,
     SetPositionRequest,
-    Stop,
+    StopRequest,
     TraceReply,
 )
 from orchestrator.model.units import UnitError, parse_quantity
 
-BEGINS_SOON_NS = 300 * NS_PER_MS
+NEAR_START_NS = 300 * NS_PER_MS
 
 
-class UnitActions(Protocol):
-    """What commands need of the unit that they belong to."""
+class SupervisorActions(Protocol):
+    """What the commands need of the supervisor to which they belong."""
 
-    async def refresh(self) -> None:
-        """Read and publish at once, after something was changed."""
+    async def poll_and_publish(self) -> None:
+        """Read the controller and publish at once, after a change."""
         ...
 
     async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
-        """Stop the controller, past everything else. follow: a step that moves is followed to its rest."""
+        """Stop the controller, bypassing everything else. follow: keep following a moving step until it is at rest."""
         ...
 
-    def poke(self) -> None:
-        """Have the next poll come soon."""
+    def wake_poll(self) -> None:
+        """Schedule the next poll soon."""
         ...
 
-    def reconfigure(self, config: Controller) -> None:
-        """Start anew with another configuration, as soon as the answer has left."""
+    def replace_configuration(self, config: Controller) -> None:
+        """Restart with another configuration as soon as the reply is sent."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
-    """The parts of a unit that do what commands ask for."""
+class Components:
+    """The components of a supervisor that execute commands."""
 
-    fence: Fence
-    remembered: Remembered
-    leases: Leases
-    member: Member
-    jogging: Jogging
-    motors: Motors
-    referencing: Referencing
-    condition: Condition
-    presenter: Presenter
+    fence: EpochFence
+    remembered: PersistentMemory
+    leases: MotionLeases
+    participant: StepParticipant
+    jogging: JogControl
+    motors: MotorControl
+    referencing: AxisReferencing
+    status: ControllerStatus
+    publisher: StatePublisher
 
 
-class Commands:
-    """Answers `ctl/{id}/cmd/*` for one controller."""
+class ControllerCommands:
+    """Answer `ctl/{id}/cmd/*` for one controller."""
 
-    def __init__(self, seat: Seat, parts: Parts, unit: UnitActions) -> None:
-        self._seat = seat
-        self._config, self._driver = seat.config, seat.driver
-        self._parts = parts
-        self._fence, self._condition, self._presenter = parts.fence, parts.condition, parts.presenter
-        self._unit = unit
+    def __init__(self, context: ControllerContext, components: Components, supervisor: SupervisorActions) -> None:
+        self._context = context
+        self._config, self._driver = context.config, context.driver
+        self._components = components
+        self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
+        self._supervisor = supervisor
         self._answers = Answers()
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
-            "adopt": (Adopt, Adopted, self._adopt),
-            "lease": (LeaseRequest, LeaseReply, self._lease),
-            "propose": (Propose, Proposal, parts.member.propose),
-            "arm": (Arm, Armed, parts.member.arm),
-            "commit": (Commit, Reply, self._commit),
-            "go": (Go, Reply, self._go),
-            "disarm": (Disarm, Disarmed, parts.member.disarm),
-            "stop": (Stop, Reply, self._stop),
-            "enable": (EnableRequest, Reply, self._enable),
-            "home": (HomeRequest, HomeReply, self._home),
-            "jog": (JogRequest, Reply, self._jog),
-            "set-position": (SetPositionRequest, Reply, self._set_position),
-            "output": (OutputRequest, Reply, self._output),
-            "reset": (Reset, Reply, self._reset),
-            "configure": (ConfigureRequest, Reply, self._configure),
-            "raw": (Raw, RawReply, self._raw),
-            "trace": (Request, TraceReply, self._give_trace),
+            "adopt": (AdoptRequest, AdoptedReply, self._handle_adopt),
+            "lease": (LeaseRequest, LeaseReply, self._handle_lease),
+            "propose": (ProposeRequest, Proposal, components.participant.propose_step),
+            "arm": (ArmRequest, ArmedReply, components.participant.arm_step),
+            "commit": (CommitRequest, Reply, self._handle_commit),
+            "go": (GoRequest, Reply, self._handle_go),
+            "disarm": (DisarmRequest, DisarmedReply, components.participant.disarm_step),
+            "stop": (StopRequest, Reply, self._handle_stop),
+            "enable": (EnableRequest, Reply, self._handle_enable),
+            "home": (HomeRequest, HomeReply, self._handle_home),
+            "jog": (JogRequest, Reply, self._handle_jog),
+            "set-position": (SetPositionRequest, Reply, self._handle_set_position),
+            "output": (OutputRequest, Reply, self._handle_output),
+            "reset": (ResetRequest, Reply, self._handle_reset),
+            "configure": (ConfigureRequest, Reply, self._handle_configure),
+            "raw": (RawRequest, RawReply, self._handle_raw),
+            "trace": (Request, TraceReply, self._handle_trace),
         }
 
-    async def answer(self, sample: Sample) -> bytes:
-        """Answer one command. A request id that was seen already gets the same answer, without doing it again."""
-        verb = self._seat.keys.verb_of(sample.key)
+    async def answer_command(self, sample: Sample) -> bytes:
+        """Answer one command. A repeated request id gets the same reply without a second execution."""
+        verb = self._context.keys.verb_of(sample.key)
         if verb not in self._verbs:
             raise RequestRefused(f"unknown verb {verb!r}; known: {', '.join(sorted(self._verbs))}")
         model, reply, handler = self._verbs[verb]
         try:
             request = model.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(f"{verb}: {explain(error)}") from None
-        return await self._answers.once(verb, request.request_id, lambda: self._do(verb, reply, handler, request))
+            raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
+        return await self._answers.once(
+            verb, request.request_id, lambda: self._execute_request(verb, reply, handler, request)
+        )
 
-    async def _do(
+    async def _execute_request(
         self, verb: str, reply: type[Reply], handler: Callable[[Any], Awaitable[Reply]], request: Request
     ) -> bytes:
         try:
-            if isinstance(request, Fenced) and not isinstance(request, Adopt):
-                await self._fence.admit(request)
+            if isinstance(request, FencedRequest) and not isinstance(request, AdoptRequest):
+                await self._fence.require_current_leader(request)
             return (await handler(request)).to_json()
-        except CannotDo as error:
-            refusal = error.refusal
-        except DriverFault as error:
-            fault = error.fault
-            refusal = Refusal(code=fault.code, text=fault.text, remedy=fault.remedy)
+        except Refusal as error:
+            refusal = RefusalDetails.of(error)
+        except ControllerFault as error:
+            refusal = RefusalDetails(code=error.code, text=error.text, remedy=error.remedy)
         except (LinkClosed, LinkRefused) as error:
-            refusal = Refusal(code="offline", text=str(error), remedy="check power and cable of the controller")
-        self._presenter.emit("refusal", f"{verb} by {request.actor}: {refusal.text}")
-        return reply(refused=refusal.model_copy(update={"member": self._seat.controller})).to_json()
+            refusal = RefusalDetails(code="offline", text=str(error), remedy="check power and cable of the controller")
+        self._publisher.emit_event("refusal", f"{verb} by {request.actor}: {refusal.text}")
+        return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
 
-    async def _adopt(self, request: Adopt) -> Adopted:
-        if await self._fence.adopt(request):
-            self._parts.leases.drop(f"a new reign, epoch {request.epoch}")
-            await self._parts.member.abandon(f"a new reign, epoch {request.epoch}")
-        self._presenter.publish()
-        return Adopted(epoch=self._fence.epoch, mode=self._presenter.mode())
+    async def _handle_adopt(self, request: AdoptRequest) -> AdoptedReply:
+        if await self._fence.adopt_leader(request):
+            self._components.leases.end_all(f"new leader, epoch {request.epoch}")
+            await self._components.participant.abandon_step(f"new leader, epoch {request.epoch}")
+        self._publisher.publish_state()
+        return AdoptedReply(epoch=self._fence.epoch, mode=self._publisher.current_mode())
 
-    async def _commit(self, request: Commit) -> Reply:
+    async def _handle_commit(self, request: CommitRequest) -> Reply:
         self._fence.require_no_estop()
-        return await self._parts.member.commit(request)
+        return await self._components.participant.commit_step(request)
 
-    async def _go(self, request: Go) -> Reply:
+    async def _handle_go(self, request: GoRequest) -> Reply:
         self._fence.require_no_estop()
-        reply = await self._parts.member.go(request)
-        ticket = self._parts.member.ticket
-        if ticket is not None:
-            # It is polled as one that moves from here on: that it has started must not be seen a slow poll later. Where
-            # it begins soon, only from T0 on: before, others are still told to go, and wait for this host.
-            clock = self._seat.clock
-            far = ticket.t0_host_ns - clock.now_ns() > BEGINS_SOON_NS
-            clock.call_at_ns(clock.now_ns() if far else ticket.t0_host_ns, self._unit.poke)
+        reply = await self._components.participant.start_step(request)
+        armed_step = self._components.participant.armed_step
+        if armed_step is not None:
+            # From here on it is polled at the rate of a moving controller, so that its start is not noticed a slow poll
+            # later. If T0 is near, that begins at T0: before, the coordinator still sends `go` to other participants,
+            # and a poll would delay this host.
+            clock = self._context.clock
+            starts_later = armed_step.t0_host_ns - clock.now_ns() > NEAR_START_NS
+            clock.call_at_ns(clock.now_ns() if starts_later else armed_step.t0_host_ns, self._supervisor.wake_poll)
         return reply
 
-    async def _stop(self, request: Stop) -> Reply:
+    async def _handle_stop(self, request: StopRequest) -> Reply:
         reason = request.reason or f"stopped by {request.actor}"
-        await self._unit.stop(request.mode == "abort", reason, follow=request.mode == "hold")
+        await self._supervisor.stop(request.mode == "abort", reason, follow=request.mode == "feed-hold")
         return Reply()
 
-    async def _lease(self, request: LeaseRequest) -> LeaseReply:
-        self._condition.require_known(request.axes)
-        before = self._parts.leases.holders
-        self._parts.leases.grant(request)
-        # Who asks is told the state at once, others with the next poll or heartbeat; not at each renewal.
-        changed = self._parts.leases.holders != before
-        return LeaseReply(state=self._presenter.state() if changed else None)
+    async def _handle_lease(self, request: LeaseRequest) -> LeaseReply:
+        self._status.require_known(request.axes)
+        before = self._components.leases.holders
+        self._components.leases.apply_request(request)
+        # The requester gets the state at once, others with the next poll or heartbeat; not at each renewal.
+        changed = self._components.leases.holders != before
+        return LeaseReply(state=self._publisher.current_state() if changed else None)
 
-    async def _enable(self, request: EnableRequest) -> Reply:
+    async def _handle_enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)
         if request.on:
             self._fence.require_no_estop()
-        await self._parts.motors.switch(request.axes, request.on)
+        await self._components.motors.switch_motors(request.axes, request.on)
         return Reply()
 
-    async def _home(self, request: HomeRequest) -> HomeReply:
+    async def _handle_home(self, request: HomeRequest) -> HomeReply:
         self._require_idle(request)
         self._fence.require_no_estop()
         try:
-            return await self._parts.referencing.home(request.axes)
-        except (LinkClosed, LinkRefused, DriverFault) as error:
-            # The controller goes on looking by itself. Where it can not be told now, the stop is owed.
-            with suppress(LinkClosed, LinkRefused, DriverFault):
-                await self._unit.stop(False, f"homing has failed: {error}")
+            return await self._components.referencing.home_axes(request.axes)
+        except (LinkClosed, LinkRefused, ControllerFault) as error:
+            # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
+            with suppress(LinkClosed, LinkRefused, ControllerFault):
+                await self._supervisor.stop(False, f"homing has failed: {error}")
             raise
 
-    async def _jog(self, request: JogRequest) -> Reply:
-        self._condition.require_known(request.velocities)
-        self._parts.leases.require(request.holder, request.velocities)
-        self._parts.jogging.take_seq(request)
+    async def _handle_jog(self, request: JogRequest) -> Reply:
+        self._status.require_known(request.velocities)
+        self._components.leases.require_lease(request.holder, request.velocities)
+        self._components.jogging.check_sequence(request)
         if any(request.velocities.values()):
             self._fence.require_no_estop()
-            self._condition.require_no_fault()
+            self._status.require_no_fault()
             self._require_no_step()
-        await self._parts.jogging.jog(request)
+        await self._components.jogging.apply_request(request)
         return Reply()
 
-    async def _set_position(self, request: SetPositionRequest) -> Reply:
+    async def _handle_set_position(self, request: SetPositionRequest) -> Reply:
         self._require_idle(request)
         (name,) = request.axes
-        axis, offsets = self._config.axes[name], dict(self._parts.remembered.now.offsets)
+        axis, offsets = self._config.axes[name], dict(self._components.remembered.values.offsets)
         offsets.pop(name, None)
         if request.position is not None:
-            motor = self._condition.online().axes[name].commanded_counts / axis.counts_per_unit
+            motor = self._status.require_online().axes[name].commanded_counts / axis.counts_per_unit
             try:
                 offsets[name] = parse_quantity(request.position, axis.unit) - motor
             except UnitError as error:
-                raise CannotDo("bad-unit", f"{name}: {error}") from None
-        self._parts.remembered.change(offsets=offsets)
-        await self._parts.remembered.keep()
-        self._presenter.publish()
+                raise Refusal("bad-unit", f"{name}: {error}") from None
+        self._components.remembered.change_values(offsets=offsets)
+        await self._components.remembered.persist()
+        self._publisher.publish_state()
         return Reply()
 
-    async def _output(self, request: OutputRequest) -> Reply:
+    async def _handle_output(self, request: OutputRequest) -> Reply:
         point = self._config.outputs.get(request.output)
         if point is None:
             known = ", ".join(self._config.outputs) or "none"
-            raise CannotDo("unknown-output", f"no output {request.output}; outputs: {known}")
-        self._condition.online()
+            raise Refusal("unknown-output", f"no output {request.output}; outputs: {known}")
+        self._status.require_online()
         await self._driver.set_output(point.number, request.value == (point.active == "high"))
-        await self._unit.refresh()
+        await self._supervisor.poll_and_publish()
         return Reply()
 
-    async def _reset(self, request: Reset) -> Reply:
-        """With `check`, only say whether it could be done; all adapters are asked so before any lets go."""
+    async def _handle_reset(self, request: ResetRequest) -> Reply:
+        """Reset the e-stop latch. With `check`, only report whether that is possible; all adapters are checked before
+        the first latch is reset."""
         self._fence.require_event(request.event)
         await self._require_safe()
         if not request.check:
-            if await self._fence.release():
-                self._presenter.emit("reset", f"e-stop reset by {request.actor}")
-            self._presenter.publish()
+            if await self._fence.reset_latch():
+                self._publisher.emit_event("reset", f"e-stop reset by {request.actor}")
+            self._publisher.publish_state()
         return Reply()
 
     async def _require_safe(self) -> None:
-        """What can be cleared is cleared, and nothing is left that speaks against motion. Raises `CannotDo`."""
-        condition = self._condition
-        condition.online()
-        ticket = self._parts.member.ticket
-        if ticket is not None and ticket.phase is not Phase.MOVING:
-            # What clears faults would be carried out before the starting line, and delay it.
-            raise CannotDo("busy", f"it is about to move for job {ticket.job}", "wait for its end, then reset")
+        """Clear what can be cleared, and verify that nothing prevents motion. Raises `Refusal`."""
+        status = self._status
+        status.require_online()
+        armed_step = self._components.participant.armed_step
+        if armed_step is not None and armed_step.phase is not StepPhase.MOVING:
+            # The commands that clear faults would run before the start command, and delay it.
+            raise Refusal(
+                "busy",
+                f"the controller is about to move for job {armed_step.job}",
+                "wait for the end of the step, then reset",
+            )
         await self._driver.clear_faults()
-        await self._unit.refresh()
-        condition.require_no_fault()
-        moving = [name for name, axis in condition.online().axes.items() if axis.moving]
+        await self._supervisor.poll_and_publish()
+        status.require_no_fault()
+        moving = [name for name, axis in status.require_online().axes.items() if axis.moving]
         if moving:
-            raise CannotDo("moving", f"axis {moving[0]} is moving", "wait for its end, then reset")
+            raise Refusal("moving", f"axis {moving[0]} is moving", "wait for the end of the motion, then reset")
 
-    async def _configure(self, request: ConfigureRequest) -> Reply:
+    async def _handle_configure(self, request: ConfigureRequest) -> Reply:
         self._require_no_step()
-        if self._parts.leases.holders:
-            holder = next(iter(self._parts.leases.holders.values()))
-            raise CannotDo("leased", f"axes of the controller are held by {holder}", "wait for its end")
+        if self._components.leases.holders:
+            holder = next(iter(self._components.leases.holders.values()))
+            raise Refusal("leased", f"axes of the controller are leased to {holder}", "wait for the end of the lease")
         try:
             config = Controller.model_validate(request.configuration)
-            self._seat.make.options.model_validate(config.options)
-            self._seat.make.check(config)
+            self._context.make.options_model.model_validate(config.options)
+            self._context.make.check_config(config)
         except ValidationError as error:
-            raise CannotDo("bad-configuration", explain(error), "correct the fleet file") from None
+            raise Refusal("bad-configuration", first_error_text(error), "correct the fleet file") from None
         except ValueError as error:
-            raise CannotDo("bad-configuration", str(error), "correct the fleet file") from None
+            raise Refusal("bad-configuration", str(error), "correct the fleet file") from None
         if not request.check:
-            self._unit.reconfigure(config)
+            self._supervisor.replace_configuration(config)
         return Reply()
 
-    async def _raw(self, request: Raw) -> RawReply:
+    async def _handle_raw(self, request: RawRequest) -> RawReply:
         if not request.i_know:
-            text = "a raw command is checked against no limit"
-            raise CannotDo("raw-needs-flag", text, "add --i-know if you mean it")
-        self._parts.leases.require(request.holder, self._config.axes)
-        self._condition.online()
-        self._presenter.emit("raw", f"raw by {request.actor}: {request.command!r}")
-        return RawReply(reply=await self._driver.raw(request.command))
+            text = "a raw command is not checked against any limit"
+            raise Refusal("raw-needs-flag", text, "add --i-know to send it anyway")
+        self._components.leases.require_lease(request.holder, self._config.axes)
+        self._status.require_online()
+        self._publisher.emit_event("raw", f"raw by {request.actor}: {request.command!r}")
+        return RawReply(reply=await self._driver.send_raw(request.command))
 
-    async def _give_trace(self, _: Request) -> TraceReply:
+    async def _handle_trace(self, _: Request) -> TraceReply:
         entries: list[tuple[int, Direction, str]] = [
-            (at_ns, direction, data.decode("latin-1")) for at_ns, direction, data in self._seat.trace.entries()
+            (at_ns, direction, data.decode("latin-1")) for at_ns, direction, data in self._context.trace.entries()
         ]
-        return TraceReply(entries=entries, utc=self._seat.clock.utc(), host_ns=self._seat.clock.now_ns())
+        return TraceReply(entries=entries, utc=self._context.clock.utc(), host_ns=self._context.clock.now_ns())
 
     def _require_idle(self, request: LeasedRequest) -> None:
-        self._condition.online()
-        self._condition.require_known(request.axes)
-        self._parts.leases.require(request.holder, request.axes)
+        self._status.require_online()
+        self._status.require_known(request.axes)
+        self._components.leases.require_lease(request.holder, request.axes)
         self._require_no_step()
-        if self._condition.jogging:
-            raise CannotDo("busy", f"axis {min(self._condition.jogging)} is jogging", "let the key go")
+        if self._status.jogging:
+            raise Refusal("busy", f"axis {min(self._status.jogging)} is jogging", "end the jog first")
 
     def _require_no_step(self) -> None:
-        if self._parts.member.ticket is not None or self._condition.homing:
-            raise CannotDo("busy", f"the controller is {self._presenter.mode()}", "wait, or stop it")
+        if self._components.participant.armed_step is not None or self._status.homing:
+            raise Refusal(
+                "busy",
+                f"the controller is {self._publisher.current_mode()}",
+                "wait for the end, or stop the controller",
+            )

@@ -1,4 +1,4 @@
-"""One controller's place in its adapter host: what all the parts of its unit need to know."""
+"""The context of one controller in its adapter host, shared by all components of its supervisor."""
 
 import asyncio
 from collections.abc import Callable
@@ -16,9 +16,13 @@ from orchestrator.model.fleet import Controller
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
-    """instance: of this start of the unit. scale: fleet time, or None before any coordinator was heard. reconfigure:
-    asks the host to replace the unit of a controller by one with another configuration."""
+class ControllerContext:
+    """Everything that the components of one controller's supervisor share.
+
+    instance: identifies this start of the supervisor.
+    scale: returns fleet time, or None before the first message of a coordinator.
+    replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
+    lowering_lock: lock that lets one controller of the host lower profiles at a time."""
 
     controller: str
     config: Controller
@@ -32,5 +36,5 @@ class Seat:
     log: Log
     instance: str
     scale: Callable[[], FleetScale | None]
-    reconfigure: Callable[[str, Controller], None]
-    lowering: asyncio.Lock
+    replace_supervisor: Callable[[str, Controller], None]
+    lowering_lock: asyncio.Lock

@@ -1,28 +1,30 @@
-"""The events of one controller: numbered without gaps, put on the bus, and kept in a ring for those who missed some."""
+"""The events of one controller: numbered without gaps, published on the bus, and kept in a ring for subscribers that
+missed some."""
 
 from collections import deque
 
-from orchestrator.model.state import Event, EventsReply
+from orchestrator.model.state import ControllerEvent, EventsReply
 
-KEPT = 1000
+EVENTS_KEPT = 1000
 
 
 class EventRing:
-    """The last events of one instance of an adapter, as they were put: thousands of objects would slow down a host."""
+    """Keep the last events of one adapter instance in their encoded form: thousands of objects would slow down a
+    host."""
 
     def __init__(self, instance: str) -> None:
         self._instance = instance
-        self._events: deque[tuple[int, bytes]] = deque(maxlen=KEPT)
+        self._events: deque[tuple[int, bytes]] = deque(maxlen=EVENTS_KEPT)
         self.last_seq = 0
 
-    def add(self, event: Event) -> bytes:
-        """Keep it; what is to be put of it."""
+    def add_event(self, event: ControllerEvent) -> bytes:
+        """Number and keep the event; return the bytes to publish."""
         payload = event.to_json()
         self._events.append((event.seq, payload))
         self.last_seq = event.seq
         return payload
 
-    def after(self, seq: int) -> EventsReply:
-        """Events numbered above `seq`, and how many of those the ring no longer has."""
-        kept = [Event.model_validate_json(payload) for number, payload in self._events if number > seq]
+    def events_after(self, seq: int) -> EventsReply:
+        """Return the events numbered above `seq`, and how many of those the ring no longer has."""
+        kept = [ControllerEvent.model_validate_json(payload) for number, payload in self._events if number > seq]
         return EventsReply(instance=self._instance, events=kept, lost=max(0, self.last_seq - seq - len(kept)))

@@ -1,4 +1,5 @@
-"""Axes moved by hand: a jog is good for a moment and renewed while somebody holds the key; silence stops the axis."""
+"""Jogging of axes: a jog command is valid for a moment and renewed while the hold-to-run key is pressed; without
+renewal the axis stops."""
 
 import asyncio
 import math
@@ -7,212 +8,223 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from adapters.contract import CannotDo, Driver, DriverFault, JogMove, Reading
-from adapters.controller.status import Condition
+from adapters.contract import ControllerReading, Driver, JogMove
+from adapters.controller.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.messages import JogRequest
 
 HOLDERS_KEPT = 64
-ROOM = 1e-9  # of a speed that was rounded on its way
-SEEN_MOVING_NS = 150 * NS_PER_MS  # an axis that a poll finds at rest so long after its order has come to rest by itself
+SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
+# an axis that a poll finds at rest this long after its command has come to rest by itself
+SEEN_MOVING_NS = 150 * NS_PER_MS
 
 
 @dataclass(slots=True)
-class _Jog:
-    """One axis that is moved by hand. velocity, wanted: unit/s, of the last order that the controller has taken, and of
-    the last that it was given; ordered_ns: when it had taken one."""
+class _AxisJog:
+    """One jogging axis.
+
+    velocity: unit/s, of the last command that the controller has accepted.
+    wanted: unit/s, of the last command that was sent.
+    accepted_ns: when the controller accepted a command."""
 
     holder: str
     until_ns: int
     velocity: float = 0.0
     wanted: float = 0.0
-    ordered_ns: int | None = None
+    accepted_ns: int | None = None
 
 
-class Jogging:
-    """The jogs of one controller. stopped(axis): told when one has ended, for whatever reason."""
+class JogControl:
+    """The jogs of one controller. on_change: called after each command."""
 
     def __init__(
         self,
         driver: Driver,
         clock: Clock,
-        condition: Condition,
+        status: ControllerStatus,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
-        changed: Callable[[], None],
+        on_change: Callable[[], None],
     ) -> None:
         self._driver = driver
         self._clock = clock
-        self._condition = condition
+        self._status = status
         self._spawn = spawn
-        self._changed = changed
-        self._turn = asyncio.Lock()
-        self._jogs: dict[str, _Jog] = {}
-        self._ended: dict[str, str] = {}
+        self._on_change = on_change
+        self._command_lock = asyncio.Lock()
+        self._jogs: dict[str, _AxisJog] = {}
+        self._end_reasons: dict[str, str] = {}
         self._last_seq: dict[str, int] = {}
 
-    # What the holder asks
+    # Requests of the lease holder
 
-    def take_seq(self, request: JogRequest) -> None:
-        """Refuse a request that was overtaken by a later one: a late `go on` must not follow a stop.
+    def check_sequence(self, request: JogRequest) -> None:
+        """Refuse a request that arrives after a later one: a late renewal must not follow a stop.
 
-        Raises `CannotDo`.
+        Raises `Refusal`.
         """
         last = self._last_seq.pop(request.holder, 0)
         self._last_seq[request.holder] = max(last, request.seq)
         if len(self._last_seq) > HOLDERS_KEPT:
             del self._last_seq[next(iter(self._last_seq))]
         if request.seq <= last:
-            raise CannotDo("out-of-order", f"request {request.seq} came after request {last}", "")
+            raise Refusal("out-of-order", f"request {request.seq} came after request {last}", "")
 
-    async def jog(self, request: JogRequest) -> None:
-        """Begin, change, go on with or stop jogs. Raises `CannotDo`; then the axis named does not jog by this call."""
-        await self.stop([axis for axis, velocity in request.velocities.items() if velocity == 0], "the key was let go")
+    async def apply_request(self, request: JogRequest) -> None:
+        """Begin, change, renew or stop jogs. Raises `Refusal`; then this call does not jog the axis that it names."""
+        await self.stop_axes(
+            [axis for axis, velocity in request.velocities.items() if velocity == 0], "the jog key is no longer pressed"
+        )
         until_ns = self._clock.now_ns() + request.valid_ms * NS_PER_MS
         moving = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
         for axis in moving:
             if axis not in self._jogs and not request.renew:
-                self._begin(axis, _Jog(request.holder, until_ns))
-        # All of them before the first order: it may take longer than it is good for, and is renewed on its way.
+                self._begin_jog(axis, _AxisJog(request.holder, until_ns))
+        # All deadlines are set before the first command: a command may take longer than its own validity, and renewals
+        # arrive meanwhile.
         jogs = {axis: self._jogs[axis] for axis in moving if axis in self._jogs}
         for jog in jogs.values():
             jog.until_ns = until_ns
-        anew = {axis: jog for axis, jog in jogs.items() if jog.wanted != moving[axis]}
-        for axis, jog in anew.items():
+        changed_jogs = {axis: jog for axis, jog in jogs.items() if jog.wanted != moving[axis]}
+        for axis, jog in changed_jogs.items():
             jog.wanted = moving[axis]
         try:
-            for axis in list(anew):
-                await self._order(axis, anew.pop(axis), moving[axis])
+            for axis in list(changed_jogs):
+                await self._send_jog(axis, changed_jogs.pop(axis), moving[axis])
         except BaseException:
-            for axis, jog in anew.items():
-                self._take_back(axis, jog)
+            for axis, jog in changed_jogs.items():
+                self._revert_jog(axis, jog)
             raise
         for axis in moving:
             if axis not in jogs:
-                why = self._ended.get(axis, "it does not jog")
-                raise CannotDo("not-jogging", f"axis {axis}: {why}", "press the key again")
+                why = self._end_reasons.get(axis, "it is not jogging")
+                raise Refusal("not-jogging", f"axis {axis}: {why}", "press the jog key again")
 
-    def _begin(self, axis: str, jog: _Jog) -> None:
+    def _begin_jog(self, axis: str, jog: _AxisJog) -> None:
         self._jogs[axis] = jog
-        self._condition.jogging.add(axis)
-        self._spawn(self._keep_time(axis, jog))
+        self._status.jogging.add(axis)
+        self._spawn(self._enforce_deadline(axis, jog))
 
-    async def _order(self, axis: str, jog: _Jog, velocity: float) -> None:
-        async with self._turn:
+    async def _send_jog(self, axis: str, jog: _AxisJog, velocity: float) -> None:
+        async with self._command_lock:
             try:
                 if self._jogs.get(axis) is jog:
-                    await self._driver.jog(axis, self._move(axis, velocity))
-                    jog.velocity, jog.ordered_ns = velocity, self._clock.now_ns()
+                    await self._driver.jog_axis(axis, self._make_jog_move(axis, velocity))
+                    jog.velocity, jog.accepted_ns = velocity, self._clock.now_ns()
             except BaseException as error:
-                self._take_back(axis, jog)
-                if jog.velocity == 0 and not isinstance(error, CannotDo):
-                    # The order may have been taken all the same. On a link that is closed its stop is owed.
-                    self._is_to_rest([axis])
-                    with suppress(DriverFault, LinkClosed):
+                self._revert_jog(axis, jog)
+                if jog.velocity == 0 and not isinstance(error, Refusal):
+                    # The controller may have accepted the command all the same. If the link is closed, the stop stays
+                    # pending.
+                    self._expect_rest([axis])
+                    with suppress(ControllerFault, LinkClosed):
                         await self._driver.stop_axes([axis])
                 raise
             if self._jogs.get(axis) is not jog:
-                # It was stopped while the order was on its way: the stop may have come first.
+                # The jog was stopped while the command was under way: the stop may have reached the controller first.
                 await self._driver.stop_axes([axis])
-        self._changed()
+        self._on_change()
 
-    def _take_back(self, axis: str, jog: _Jog) -> None:
-        """The controller was not given, or has not taken, the order that was wanted."""
+    def _revert_jog(self, axis: str, jog: _AxisJog) -> None:
+        """Revert to the last accepted velocity: the command was not sent or not accepted."""
         jog.wanted = jog.velocity
         if jog.velocity == 0:
-            self._forget(axis, jog, "it could not begin")
+            self._drop_jog(axis, jog, "the jog could not begin")
 
-    def _move(self, name: str, velocity: float) -> JogMove:
-        """What the driver is asked for, after everything that forbids it. Raises `CannotDo`."""
-        condition, axis = self._condition, self._condition.config.axes[name]
-        reading = condition.online()
+    def _make_jog_move(self, name: str, velocity: float) -> JogMove:
+        """Return the move for the driver after all checks. Raises `Refusal`."""
+        condition, axis = self._status, self._status.config.axes[name]
+        reading = condition.require_online()
         condition.require_enabled([name])
         referenced = condition.referenced[name]
         fastest = axis.jog_speed(referenced)
-        if abs(velocity) > fastest * (1 + ROOM):
+        if abs(velocity) > fastest * (1 + SPEED_TOLERANCE):
             why = "" if referenced else " while it is not referenced"
-            raise CannotDo(
+            raise Refusal(
                 "too-fast",
                 f"axis {name} may jog at {fastest:g} {axis.unit}/s at most{why}, not at {abs(velocity):g}",
-                "go slower" if referenced else "go slower, or home it first",
+                "jog more slowly" if referenced else "jog more slowly, or home it first",
             )
         counts_s = velocity * float(axis.counts_per_unit)
         limit = reading.axes[name].limit
         if limit in ("both", "forward" if counts_s > 0 else "reverse"):
-            raise CannotDo("limit", f"axis {name} is on its {limit} limit switch", "jog the other way")
+            raise Refusal("limit", f"axis {name} is on its {limit} limit switch", "jog in the other direction")
         end = self._end_counts(name, axis, counts_s, reading)
         return JogMove(counts_s, axis.limits.acceleration * float(axis.scale), end)
 
-    def _end_counts(self, name: str, axis: Axis, counts_s: float, reading: Reading) -> int | None:
-        limits = self._condition.limits_counts([name])[name]
+    def _end_counts(self, name: str, axis: Axis, counts_s: float, reading: ControllerReading) -> int | None:
+        limits = self._status.limits_counts([name])[name]
         if limits is None:
             return None
         end = limits[1] if counts_s > 0 else limits[0]
         if (end - reading.axes[name].commanded_counts) * counts_s <= 0:
-            raise CannotDo(
+            raise Refusal(
                 "soft-limit",
                 f"axis {name} is at its soft limit, {axis.to_unit(end):g} {axis.unit} (motor position)",
-                "jog the other way",
+                "jog in the other direction",
             )
         return end
 
     # How jogs end
 
-    async def _keep_time(self, axis: str, jog: _Jog) -> None:
+    async def _enforce_deadline(self, axis: str, jog: _AxisJog) -> None:
         while self._jogs.get(axis) is jog:
             until_ns = jog.until_ns
             await sleep_until_ns(self._clock, until_ns)
             if jog.until_ns == until_ns and self._jogs.get(axis) is jog:
-                await self.stop([axis], "nobody has renewed it")
+                await self.stop_axes([axis], "the jog was not renewed in time")
 
-    async def stop(self, axes: Iterable[str], reason: str) -> None:
-        """Stop those of `axes` that jog."""
+    async def stop_axes(self, axes: Iterable[str], reason: str) -> None:
+        """Stop those of `axes` that are jogging."""
         jogging = [axis for axis in axes if axis in self._jogs]
         if not jogging:
             return
         for axis in jogging:
-            self._forget(axis, self._jogs[axis], reason)
-        self._is_to_rest(jogging)
+            self._drop_jog(axis, self._jogs[axis], reason)
+        self._expect_rest(jogging)
         await self._driver.stop_axes(jogging)
-        self._changed()
+        self._on_change()
 
-    async def stop_holder(self, holder: str, reason: str) -> None:
-        """Stop what `holder` jogs."""
-        await self.stop([axis for axis, jog in self._jogs.items() if jog.holder == holder], reason)
+    async def stop_jogs_of(self, holder: str, reason: str) -> None:
+        """Stop the axes that `holder` jogs."""
+        await self.stop_axes([axis for axis, jog in self._jogs.items() if jog.holder == holder], reason)
 
-    def ended_all(self, reason: str) -> None:
-        """All jogs have ended: the controller was stopped as a whole, or is lost."""
+    def drop_all(self, reason: str) -> None:
+        """Drop all jogs: the controller was stopped as a whole, or is lost."""
         for axis, jog in list(self._jogs.items()):
-            self._forget(axis, jog, reason)
+            self._drop_jog(axis, jog, reason)
 
-    def look(self, reading: Reading) -> None:
-        """A poll: who rests has come to a limit, who is off or in trouble does not jog any more."""
+    def handle_reading(self, reading: ControllerReading) -> None:
+        """Handle a poll: an axis at rest has reached a limit; an axis that is off or faulted no longer jogs."""
         for axis, jog in list(self._jogs.items()):
             now = reading.axes[axis]
             if not now.enabled:
-                self._forget(axis, jog, "its motor has switched off")
+                self._drop_jog(axis, jog, "its motor has switched off")
             elif jog.wanted != jog.velocity:
-                pass  # it may have to rest for another speed
-            elif jog.ordered_ns is not None and not now.moving and reading.at_ns > jog.ordered_ns + SEEN_MOVING_NS:
-                # Told to stop all the same: on a bad line it may have been another one's answer that says so.
+                pass  # it may come to rest to change its speed
+            elif jog.accepted_ns is not None and not now.moving and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS:
+                # The stop is sent all the same: on a disturbed line the reading may come from another controller's
+                # reply.
                 reason = "it is on its limit switch" if now.limit != "none" else "it is at its soft limit"
-                self._spawn(self.stop([axis], reason))
+                self._spawn(self.stop_axes([axis], reason))
 
-    def _is_to_rest(self, axes: Sequence[str]) -> None:
-        """An order may have been on its way, and the stop may get lost: they rest only when somebody has seen it."""
-        slowest_ns = math.ceil(max(self._slow_down_s(axis) for axis in axes) * 1e9)
-        condition = self._condition
+    def _expect_rest(self, axes: Sequence[str]) -> None:
+        """Expect `axes` to come to rest. A jog command may have been under way, and the stop may get lost: only a poll
+        proves rest."""
+        slowest_ns = math.ceil(max(self._deceleration_s(axis) for axis in axes) * 1e9)
+        condition = self._status
         condition.stopped_ns = self._clock.now_ns()
         condition.stopping_until_ns = condition.stopped_ns + max(slowest_ns, self._driver.capabilities.costs.stop_ns)
         condition.stop_unseen = True
 
-    def _slow_down_s(self, axis: str) -> float:
-        config = self._condition.config.axes[axis]
+    def _deceleration_s(self, axis: str) -> float:
+        config = self._status.config.axes[axis]
         return 0.1 + config.limits.velocity / config.limits.acceleration
 
-    def _forget(self, axis: str, jog: _Jog, reason: str) -> None:
+    def _drop_jog(self, axis: str, jog: _AxisJog, reason: str) -> None:
         if self._jogs.get(axis) is jog:
             del self._jogs[axis]
-            self._condition.jogging.discard(axis)
-            self._ended[axis] = reason
+            self._status.jogging.discard(axis)
+            self._end_reasons[axis] = reason

@@ -1,37 +1,40 @@
-"""Who may move the axes of a controller: one holder each, in the reign that gave it, for as long as it is renewed."""
+"""Motion leases of the axes of a controller: one holder per axis, granted under one leader, valid as long as it is
+renewed."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from adapters.contract import CannotDo
 from orchestrator.clock.base import NS_PER_MS, Clock, Timer
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
 
-ENDS_KEPT = 64  # holders
+HOLDERS_REMEMBERED = 64  # holders
 
 
 @dataclass(frozen=True, slots=True)
-class _Lease:
+class _AxisLease:
     holder: str
     actor: str
     until_ns: int
 
 
 @dataclass(frozen=True, slots=True)
-class _Ended:
-    """Why the lease of a holder has ended; final: it was taken back, and no late renewal may revive it, up to that of
-    the number `taking`; None: it was not taken back."""
+class _LeaseEnd:
+    """Why the lease of a holder has ended.
+
+    taking: the lease was released with this number, which is final: no late renewal up to this number may revive it.
+    None: it was not released."""
 
     reason: str
     taking: int | None
 
 
-class Leases:
-    """The leases of one controller. `ended(holder, axes, reason)` is called when axes are no longer held.
+class MotionLeases:
+    """The leases of one controller. `ended(holder, axes, reason)` is called when axes are no longer leased.
 
-    Where the axes can not be moved independently of each other, only all of them together can be held.
+    If the axes cannot be moved independently of each other, only all of them together can be leased.
     """
 
     def __init__(
@@ -39,86 +42,94 @@ class Leases:
         config: Controller,
         clock: Clock,
         independent_axes: Callable[[], bool],
-        ended: Callable[[str, list[str], str], None],
+        on_ended: Callable[[str, list[str], str], None],
     ) -> None:
         self._config = config
         self._clock = clock
         self._independent_axes = independent_axes
-        self._ended = ended
-        self._held: dict[str, _Lease] = {}
-        self._ends: OrderedDict[str, _Ended] = OrderedDict()
+        self._on_ended = on_ended
+        self._leases: dict[str, _AxisLease] = {}
+        self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: Timer | None = None
 
     @property
     def holders(self) -> dict[str, str]:
-        """Holder by axis, for axes that are held."""
-        return {axis: lease.holder for axis, lease in self._held.items()}
+        """Holder by axis, for axes that are leased."""
+        return {axis: lease.holder for axis, lease in self._leases.items()}
 
-    def grant(self, request: LeaseRequest) -> None:
-        """Give, renew or (`ttl_ms` 0) take back. Raises `CannotDo`; then nothing has changed."""
+    def apply_request(self, request: LeaseRequest) -> None:
+        """Grant, renew or (`ttl_ms` 0) release a lease. Raises `Refusal`; then nothing has changed."""
         if not self._independent_axes() and set(request.axes) != set(self._config.axes):
-            raise CannotDo(
+            raise Refusal(
                 "whole-controller",
-                "the axes of this controller can not be moved independently of each other",
-                f"take all of them: {', '.join(self._config.axes)}",
+                "the axes of this controller cannot be moved independently of each other",
+                f"lease all of them: {', '.join(self._config.axes)}",
             )
         if request.ttl_ms == 0:
-            mine = [axis for axis in request.axes if self._holds(request.holder, axis)]
-            self._end(mine, request.reason or "given back")
-            self._note_end(request.holder, request.reason or "given back", request.taking)
+            mine = [axis for axis in request.axes if self._is_holder(request.holder, axis)]
+            self._end_leases(mine, request.reason or "the lease was released")
+            self._record_end(request.holder, request.reason or "the lease was released", request.acquisition)
             return
-        ended = self._ends.get(request.holder)
-        if ended is not None and ended.taking is not None and request.taking <= ended.taking:
-            raise CannotDo("lease-over", f"the lease of {request.holder} is over", "take it under a new name")
+        ended = self._lease_ends.get(request.holder)
+        if ended is not None and ended.taking is not None and request.acquisition <= ended.taking:
+            raise Refusal("lease-over", f"the lease of {request.holder} is over", "acquire it under a new name")
         for axis in request.axes:
-            lease = self._held.get(axis)
+            lease = self._leases.get(axis)
             if lease is not None and lease.holder != request.holder:
-                raise CannotDo("leased", f"axis {axis} is held by {lease.actor} ({lease.holder})", "wait, or ask them")
+                raise Refusal(
+                    "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
+                )
         until_ns = self._clock.now_ns() + request.ttl_ms * NS_PER_MS
         for axis in request.axes:
-            self._held[axis] = _Lease(request.holder, request.actor, until_ns)
-        self._look()
+            self._leases[axis] = _AxisLease(request.holder, request.actor, until_ns)
+        self._expire_leases()
 
-    def require(self, holder: str, axes: Iterable[str]) -> None:
-        """Raises `CannotDo` unless `holder` holds all `axes`."""
+    def require_lease(self, holder: str, axes: Iterable[str]) -> None:
+        """Raise `Refusal` unless `holder` has the lease of all `axes`."""
         for axis in axes:
-            lease = self._held.get(axis)
+            lease = self._leases.get(axis)
             if lease is None:
-                ended = self._ends.get(holder)
+                ended = self._lease_ends.get(holder)
                 why = f"; its lease has ended: {ended.reason}" if ended is not None else ""
-                raise CannotDo("not-leased", f"axis {axis} is not held by {holder}{why}", "take it first")
+                raise Refusal("not-leased", f"axis {axis} is not leased to {holder}{why}", "acquire the lease first")
             if lease.holder != holder:
-                raise CannotDo("leased", f"axis {axis} is held by {lease.actor} ({lease.holder})", "wait, or ask them")
+                raise Refusal(
+                    "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
+                )
 
-    def drop(self, reason: str) -> None:
-        """End all leases: another reign has begun, which counts anew, or nobody reigns."""
-        self._ends = OrderedDict((holder, _Ended(each.reason, None)) for holder, each in self._ends.items())
-        self._end(list(self._held), reason)
+    def end_all(self, reason: str) -> None:
+        """End all leases: there is a new leader, which numbers its leases from the beginning, or none."""
+        self._lease_ends = OrderedDict(
+            (holder, _LeaseEnd(each.reason, None)) for holder, each in self._lease_ends.items()
+        )
+        self._end_leases(list(self._leases), reason)
 
-    def _holds(self, holder: str, axis: str) -> bool:
-        lease = self._held.get(axis)
+    def _is_holder(self, holder: str, axis: str) -> bool:
+        lease = self._leases.get(axis)
         return lease is not None and lease.holder == holder
 
-    def _look(self) -> None:
-        """End what has run out, and look again when the next one will have."""
+    def _expire_leases(self) -> None:
+        """End expired leases and set the timer for the next expiry."""
         now_ns = self._clock.now_ns()
-        self._end([axis for axis, lease in self._held.items() if lease.until_ns <= now_ns], "the lease has run out")
+        self._end_leases(
+            [axis for axis, lease in self._leases.items() if lease.until_ns <= now_ns], "the lease has expired"
+        )
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        if self._held:
-            first_ns = min(lease.until_ns for lease in self._held.values())
-            self._timer = self._clock.call_at_ns(first_ns, self._look)
+        if self._leases:
+            first_ns = min(lease.until_ns for lease in self._leases.values())
+            self._timer = self._clock.call_at_ns(first_ns, self._expire_leases)
 
-    def _end(self, axes: list[str], reason: str) -> None:
+    def _end_leases(self, axes: list[str], reason: str) -> None:
         by_holder: dict[str, list[str]] = {}
         for axis in axes:
-            by_holder.setdefault(self._held.pop(axis).holder, []).append(axis)
+            by_holder.setdefault(self._leases.pop(axis).holder, []).append(axis)
         for holder, lost in by_holder.items():
-            self._note_end(holder, reason, None)
-            self._ended(holder, lost, reason)
+            self._record_end(holder, reason, None)
+            self._on_ended(holder, lost, reason)
 
-    def _note_end(self, holder: str, reason: str, taking: int | None) -> None:
-        self._ends[holder] = _Ended(reason, taking)
-        if len(self._ends) > ENDS_KEPT:
-            self._ends.popitem(last=False)
+    def _record_end(self, holder: str, reason: str, taking: int | None) -> None:
+        self._lease_ends[holder] = _LeaseEnd(reason, taking)
+        if len(self._lease_ends) > HOLDERS_REMEMBERED:
+            self._lease_ends.popitem(last=False)

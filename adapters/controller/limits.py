@@ -1,68 +1,74 @@
-"""No command beyond an axis's limits reaches a wire: the checks of profiles against what is and what may be."""
+"""Limit checks: no command beyond an axis's limits reaches a link. Profiles are checked against the present state and
+the allowed ranges."""
 
 from collections.abc import Mapping
 
-from adapters.contract import CannotDo
-from adapters.controller.status import Condition
+from adapters.controller.status import ControllerStatus
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.profile import Profile
 
-# Room for the rounding of a plan that uses its limits to the full: quantisation is bounded by lowering itself.
-ROOM = 1e-6
+# Tolerance for the rounding of a plan that uses its limits to the full; lowering itself bounds the quantisation.
+LIMIT_TOLERANCE = 1e-6
 
 
-def check_profiles(condition: Condition, profiles: Mapping[str, Profile], drives: bool) -> None:
-    """Raises `CannotDo` unless every profile starts where its axis stands, may move, and stays inside all limits.
+def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], drives: bool) -> None:
+    """Raise `Refusal` unless every profile starts at the position of its axis, the axis may move, and the profile stays
+    inside all limits.
 
-    drives: the controller has a line to drive, and so a part in the step without an axis.
+    drives: the controller drives a trigger line, and so takes part in the step without an axis.
     """
     if not profiles and not drives:
-        raise CannotDo("no-axes", "the step moves no axis of this controller")
-    condition.require_known(profiles)
-    condition.require_enabled(profiles)
-    reading = condition.online()
+        raise Refusal("no-axes", "the step moves no axis of this controller")
+    status.require_known(profiles)
+    status.require_enabled(profiles)
+    reading = status.require_online()
     for name, profile in profiles.items():
-        axis, now = condition.config.axes[name], reading.axes[name]
-        if not condition.referenced[name]:
-            raise CannotDo(
+        axis, now = status.config.axes[name], reading.axes[name]
+        if not status.referenced[name]:
+            raise Refusal(
                 "not-referenced", f"axis {name} is not referenced", f"home it first: a step `do: home` for {name}"
             )
         if now.moving:
-            raise CannotDo("moving", f"axis {name} is moving", "wait, or stop it")
+            raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")
         if now.commanded_counts != profile.start_counts:
-            raise CannotDo(
+            raise Refusal(
                 "other-start",
-                f"axis {name} stands at {now.commanded_counts} counts; the plan starts at {profile.start_counts}",
-                "plan again from where it stands",
+                f"axis {name} is at {now.commanded_counts} counts; the plan starts at {profile.start_counts}",
+                "plan again from the present position",
             )
         check_limits(name, axis, profile)
 
 
 def check_limits(name: str, axis: Axis, profile: Profile) -> None:
-    """Raises `CannotDo` when `profile` goes beyond soft limits, velocity or acceleration of `axis`."""
+    """Raise `Refusal` when `profile` exceeds the soft limits, velocity or acceleration of `axis`."""
     scale = float(axis.scale)
-    counts, counts_s = profile.gap
+    counts, counts_s = profile.end_error
     if counts > 1.0 or counts_s > profile.peak_velocity * 1e-3:
-        raise CannotDo(
-            "bad-profile", f"axis {name}: the profile ends {counts:g} counts off its end, at {counts_s:g} /s"
+        raise Refusal(
+            "bad-profile",
+            f"axis {name}: the profile ends {counts:g} counts away from its target, at {counts_s:g} counts/s",
         )
     speed, rate = profile.peak_velocity / scale, profile.peak_acceleration / scale
-    if speed > axis.limits.velocity * (1 + ROOM):
-        raise CannotDo("velocity-limit", f"axis {name}: {speed:g} {axis.unit}/s is above its {axis.limits.velocity:g}")
-    if rate > axis.limits.acceleration * (1 + ROOM):
-        raise CannotDo(
-            "acceleration-limit", f"axis {name}: {rate:g} {axis.unit}/s² is above its {axis.limits.acceleration:g}"
+    if speed > axis.limits.velocity * (1 + LIMIT_TOLERANCE):
+        raise Refusal(
+            "velocity-limit", f"axis {name}: {speed:g} {axis.unit}/s exceeds its limit of {axis.limits.velocity:g}"
+        )
+    if rate > axis.limits.acceleration * (1 + LIMIT_TOLERANCE):
+        raise Refusal(
+            "acceleration-limit",
+            f"axis {name}: {rate:g} {axis.unit}/s² exceeds its limit of {axis.limits.acceleration:g}",
         )
     limits = axis.soft_limits_counts
     if limits is None:
         return
     low, high = profile.extent_counts
-    # A start outside may only lead back inside; half a count is the rounding of the way.
+    # A start outside the limits may only lead back inside; half a count allows for rounding along the path.
     inside = limits[0] - 0.5 <= profile.end_counts <= limits[1] + 0.5
     start_outside = not limits[0] <= profile.start_counts <= limits[1]
     within = (limits[0] - 0.5 <= low and high <= limits[1] + 0.5) or start_outside
     if not (inside and within):
-        raise CannotDo(
+        raise Refusal(
             "soft-limit",
             f"axis {name}: the move reaches {axis.to_unit(low):g} to {axis.to_unit(high):g} {axis.unit}; soft limits "
             f"are {axis.to_unit(limits[0]):g} to {axis.to_unit(limits[1]):g}",

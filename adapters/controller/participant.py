@@ -1,8 +1,8 @@
 """A controller's part in a motion step: armed, committed, released, moving; and every way out of that.
 
-The order is fixed (propose, arm, commit, go), each transition is checked against job, step and T0, and only a `go`
-after a promise lets anything start. What interrupts (stop, e-stop, a lost coordinator) does not wait for it: it
-raises `interruptions`, and whoever finds it raised after a wait unloads what it has loaded.
+The order is fixed (propose, arm, commit, go). Each transition is checked against job, step and T0, and only a `go`
+after a commit starts anything. Interruptions (stop, e-stop, a lost coordinator) do not wait for this order: they
+increment `interruptions`, and a transition that finds the counter changed after a wait unloads what it has loaded.
 """
 
 import asyncio
@@ -11,25 +11,38 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
-from adapters.contract import CannotDo, Driver, DriverFault, Span
+from adapters.contract import Driver, HostInterval
 from adapters.controller.clock import clock_mapping
-from adapters.controller.settling import Settled
+from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import Arm, Armed, Commit, Disarm, Disarmed, Go, Proposal, Propose, Reply, StepRef
-from orchestrator.model.state import AxisEvidence, EventKind, Interval
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import (
+    ArmedReply,
+    ArmRequest,
+    CommitRequest,
+    DisarmedReply,
+    DisarmRequest,
+    GoRequest,
+    Proposal,
+    ProposeRequest,
+    Reply,
+    StepRequest,
+)
+from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
 
-# Nothing polls a member this long before T0: its promise is a look, and the others are still being asked. Sixteen that
-# are read just then have taken longer to go than they are given.
-QUIET_NS = 300 * NS_PER_MS
-# Nor so long after anything was asked of it for a step: arming looks at it, too, and the fleet waits for it.
-ASKED_QUIET_NS = 250 * NS_PER_MS
-STOPS_NS = 10 * NS_PER_MS  # so long before T0 a stop is written that is carried out before it
+# A participant is not polled for this long before T0: its commit reads the controller, while other participants are
+# still being committed. Polling 16 controllers in this window made `go` miss its deadline.
+QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
+# A participant is not polled for this long after a request of a step: arming reads the controller as well, and the
+# fleet waits for it.
+QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
+STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 
 
-class Phase(Enum):
-    """How far a ticket has come."""
+class StepPhase(Enum):
+    """Progress of an armed step."""
 
     ARMED = "armed"
     COMMITTED = "committed"
@@ -38,8 +51,8 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Ticket:
-    """The step that the controller is loaded with."""
+class ArmedStep:
+    """The step that is loaded in the controller."""
 
     job: str
     step: int
@@ -47,23 +60,24 @@ class Ticket:
     t0_host_ns: int
     axes: tuple[str, ...]
     scale: FleetScale
-    sooner: bool
-    phase: Phase = Phase.ARMED
+    can_advance: bool
+    phase: StepPhase = StepPhase.ARMED
 
 
-class Emit(Protocol):
-    """Puts an event about the step on the bus."""
+class StepEventEmitter(Protocol):
+    """Publishes an event about the step on the bus."""
 
     def __call__(
-        self, kind: EventKind, text: str, ticket: Ticket, evidence: Mapping[str, AxisEvidence] | None = None
+        self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, AxisEvidence] | None = None
     ) -> None: ...
 
 
-class Member:
-    """One controller as a member of steps.
+class StepParticipant:
+    """One controller as a participant in steps.
 
-    check raises `CannotDo` when the profiles must not be executed now; settle waits for axes to come to rest at their
-    targets, with a fresh state on the bus when it returns; lowering is shared by the members of a host (see `Seat`).
+    check: raises `Refusal` when the profiles must not be executed now.
+    settle: waits until axes are at rest at their targets; a fresh state is on the bus when it returns.
+    lowering_lock: shared by the participants of a host (see `ControllerContext`).
     """
 
     def __init__(
@@ -71,12 +85,12 @@ class Member:
         controller: str,
         driver: Driver,
         clock: Clock,
-        check: Callable[[Propose | Arm], None],
+        check: Callable[[ProposeRequest | ArmRequest], None],
         scale: Callable[[], FleetScale],
-        emit: Emit,
-        settle: Callable[[Sequence[str]], Awaitable[Settled]],
+        emit: StepEventEmitter,
+        settle: Callable[[Sequence[str]], Awaitable[SettlingResult]],
         spawn: Callable[[Coroutine[Any, Any, None]], object],
-        lowering: asyncio.Lock,
+        lowering_lock: asyncio.Lock,
     ) -> None:
         self._controller = controller
         self._driver = driver
@@ -86,28 +100,29 @@ class Member:
         self._emit = emit
         self._settle = settle
         self._spawn = spawn
-        self._lowering = lowering
-        self._turn = asyncio.Lock()
-        self._loading = asyncio.Lock()
+        self._lowering_lock = lowering_lock
+        self._transition_lock = asyncio.Lock()
+        self._loading_lock = asyncio.Lock()
         self._interruptions = 0
-        self._followed = 0
-        self._asked_ns = -ASKED_QUIET_NS
-        self.ticket: Ticket | None = None
-        self.stop_owed = False
-        """What was released, and has failed, could not be stopped yet."""
+        self._followed_steps = 0
+        self._requested_ns = -QUIET_AFTER_REQUEST_NS
+        self.armed_step: ArmedStep | None = None
+        self.stop_pending = False
+        """A released step has failed, and its stop could not be sent yet."""
         self.stop_ns = 0
-        """What a stop of the last step takes at the most: its ramps may be gentler than any that the axes can do."""
+        """Longest time that a stop of the last step takes: its ramps may be gentler than the steepest ramps of the
+        axes."""
 
-    # The way of a step
+    # The phases of a step
 
-    async def propose(self, request: Propose) -> Proposal:
-        """Lower the profiles without touching the controller."""
-        async with self._lowering:
+    async def propose_step(self, request: ProposeRequest) -> Proposal:
+        """Lower the profiles without accessing the controller."""
+        async with self._lowering_lock:
             await asyncio.sleep(0)
             self._check(request)
-            self._asked_ns = self._clock.now_ns()
-            mapping = self._driver.mapping()
-            lowered = self._driver.lower(request.profiles, request.start, mapping)
+            self._requested_ns = self._clock.now_ns()
+            mapping = self._driver.clock_mapping()
+            lowered = self._driver.lower_profiles(request.profiles, request.start, mapping)
         at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
         return Proposal(
             tick_at_fleet_ns=self._scale().fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
@@ -119,47 +134,49 @@ class Member:
             terms=list(lowered.terms),
             edge=list(lowered.edge),
             clock_ppm=lowered.clock_ppm,
-            sooner=lowered.sooner,
+            can_advance=lowered.can_advance,
             commands=list(lowered.commands),
         )
 
-    async def arm(self, request: Arm) -> Armed:
-        """Load the move for T0, with the clock mapping of this moment frozen into it."""
-        async with self._turn:
-            if self.ticket is not None:
-                raise CannotDo(
-                    "busy", f"already {self.ticket.phase.value} for job {self.ticket.job}", "disarm it first"
+    async def arm_step(self, request: ArmRequest) -> ArmedReply:
+        """Load the move for T0, with the present clock mapping frozen into it."""
+        async with self._transition_lock:
+            if self.armed_step is not None:
+                raise Refusal(
+                    "busy", f"already {self.armed_step.phase.value} for job {self.armed_step.job}", "disarm it first"
                 )
             began_ns, interruptions = self._clock.now_ns(), self._interruptions
-            async with self._lowering:
-                # A turn of the loop, for all that came while the last one was lowered.
+            async with self._lowering_lock:
+                # One turn of the event loop, for everything that arrived during the last lowering.
                 await asyncio.sleep(0)
                 self._check(request)
-                self._asked_ns = self._clock.now_ns()
-                scale, mapping = self._scale(), self._driver.mapping()
+                self._requested_ns = self._clock.now_ns()
+                scale, mapping = self._scale(), self._driver.clock_mapping()
                 t0_ns = scale.host_ns(request.t0_fleet_ns)
                 lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
-                how = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
-                lowered = self._driver.lower(request.profiles, how, mapping)
+                start = request.start.model_copy(update={"lead_ns": lead_ns, "exact": True})
+                lowered = self._driver.lower_profiles(request.profiles, start, mapping)
             if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
-                raise CannotDo("late", "T0 is too near to arm; the order to arm came late", "give more lead time")
+                raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
             if interruptions != self._interruptions:
-                raise CannotDo("stopped", "a stop came before arming", "")
+                raise Refusal("stopped", "a stop came before arming", "")
             axes = tuple(request.profiles)
-            ticket = Ticket(request.job, request.step, request.t0_fleet_ns, t0_ns, axes, scale, lowered.sooner)
+            armed_step = ArmedStep(
+                request.job, request.step, request.t0_fleet_ns, t0_ns, axes, scale, lowered.can_advance
+            )
             try:
-                async with self._loading:
-                    stages = await self._driver.arm(lowered, t0_ns, mapping)
-            except (CannotDo, DriverFault):
-                await self._driver.disarm()
+                async with self._loading_lock:
+                    stages = await self._driver.arm_move(lowered, t0_ns, mapping)
+            except (Refusal, ControllerFault):
+                await self._driver.disarm_move()
                 raise
             if interruptions != self._interruptions:
-                await self._driver.disarm()
-                raise CannotDo("stopped", "a stop came while arming", "")
-            self.ticket, self.stop_ns = ticket, lowered.costs.stop_ns
-            self._asked_ns = self._clock.now_ns()  # the promise is next
-            self._spawn(self._expire(ticket))
-            return Armed(
+                await self._driver.disarm_move()
+                raise Refusal("stopped", "a stop came while arming", "")
+            self.armed_step, self.stop_ns = armed_step, lowered.costs.stop_ns
+            self._requested_ns = self._clock.now_ns()  # the commit is next
+            self._spawn(self._unload_at_t0(armed_step))
+            return ArmedReply(
                 durations_s=dict(lowered.durations_s),
                 terms=list(lowered.terms),
                 edge=list(lowered.edge),
@@ -168,214 +185,230 @@ class Member:
                 stages_ns=dict(stages),
             )
 
-    async def commit(self, request: Commit) -> Reply:
-        """Promise, after a last look at the controller."""
-        async with self._turn:
-            ticket = self._require(request, request.t0_fleet_ns, Phase.ARMED)
+    async def commit_step(self, request: CommitRequest) -> Reply:
+        """Commit to the step after a final check of the controller."""
+        async with self._transition_lock:
+            armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
             interruptions = self._interruptions
-            await self._driver.verify()
-            if interruptions != self._interruptions or self.ticket is not ticket:
-                raise CannotDo("stopped", "a stop came before the promise", "")
-            self.ticket = replace(ticket, phase=Phase.COMMITTED)
+            await self._driver.verify_armed()
+            if interruptions != self._interruptions or self.armed_step is not armed_step:
+                raise Refusal("stopped", "a stop came before the commit", "")
+            self.armed_step = replace(armed_step, phase=StepPhase.COMMITTED)
             return Reply()
 
-    async def go(self, request: Go) -> Reply:
-        """Open the gate, for the T0 that was promised or a sooner one."""
-        async with self._turn:
-            sooner_ns = request.sooner_ns
-            ticket = self._require(request, request.t0_fleet_ns + sooner_ns, Phase.COMMITTED)
-            if sooner_ns and (sooner_ns < 0 or not ticket.sooner):
-                raise CannotDo("not-sooner", "it begins at the T0 that it was armed for", "arm it for another one")
-            t0_ns = ticket.t0_host_ns - sooner_ns
+    async def start_step(self, request: GoRequest) -> Reply:
+        """Release the move, for the committed T0 or an earlier one."""
+        async with self._transition_lock:
+            advance_ns = request.advance_ns
+            armed_step = self._require_phase(request, request.t0_fleet_ns + advance_ns, StepPhase.COMMITTED)
+            if advance_ns and (advance_ns < 0 or not armed_step.can_advance):
+                raise Refusal(
+                    "not-sooner", "the step can only begin at the T0 for which it was armed", "arm it for another T0"
+                )
+            t0_ns = armed_step.t0_host_ns - advance_ns
             if self._clock.now_ns() >= t0_ns:
-                raise CannotDo("late", "T0 is past", "give more lead time")
-            self.ticket = released = replace(
-                ticket, phase=Phase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
+                raise Refusal("late", "T0 has passed", "increase the lead time")
+            self.armed_step = released = replace(
+                armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
             )
             interruptions = self._interruptions
             try:
-                await self._driver.go(request.slack_ns, sooner_ns)
-            except (CannotDo, DriverFault):
-                self.ticket = None
-                # It may have been released all the same: what was only not answered must not run either.
+                await self._driver.go(request.start_tolerance_ns, advance_ns)
+            except (Refusal, ControllerFault):
+                self.armed_step = None
+                # The controller may have released the move all the same: a lost reply must not let it run.
                 await self._driver.stop(False)
-                await self._driver.disarm()
+                await self._driver.disarm_move()
                 raise
-            if interruptions != self._interruptions or self.ticket is not released:
-                await self._driver.disarm()
-                raise CannotDo("stopped", "a stop came before the start", "")
-            self._spawn(self._follow(released))
+            if interruptions != self._interruptions or self.armed_step is not released:
+                await self._driver.disarm_move()
+                raise Refusal("stopped", "a stop came before the start", "")
+            self._spawn(self._follow_step(released))
             return Reply()
 
-    async def disarm(self, request: Disarm) -> Disarmed:
-        """Unload the step, if it is the one that is loaded. A step that moves is not touched."""
-        ticket, begun = self.ticket, False
-        if ticket is not None and (ticket.job, ticket.step) != (request.job, request.step):
-            return Disarmed()  # somebody else's, who still counts on it
-        if ticket is not None and ticket.phase is Phase.RELEASED:
-            # Past a `go` that is still under way, because T0 is near.
+    async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
+        """Unload the step if it is the one that is loaded. A moving step stays untouched."""
+        armed_step, begun = self.armed_step, False
+        if armed_step is not None and (armed_step.job, armed_step.step) != (request.job, request.step):
+            return DisarmedReply()  # another job's step, which is still in use
+        if armed_step is not None and armed_step.phase is StepPhase.RELEASED:
+            # This bypasses a `go` that is still under way, because T0 is near.
             self._interruptions += 1
-            begun = self._clock.now_ns() + STOPS_NS >= ticket.t0_host_ns
+            begun = self._clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
             await self._driver.stop(False)
-        async with self._turn:
-            ticket = self.ticket
-            if ticket is None:
-                await self._unload()
-                return Disarmed(begun=begun)
-            if ticket.phase is Phase.MOVING:
-                raise CannotDo("moving", "the step moves already", "stop it")
+        async with self._transition_lock:
+            armed_step = self.armed_step
+            if armed_step is None:
+                await self._unload_step()
+                return DisarmedReply(may_have_started=begun)
+            if armed_step.phase is StepPhase.MOVING:
+                raise Refusal("moving", "the step is already moving", "stop it")
             self._interruptions += 1
-            self.ticket = None
-            if ticket.phase is Phase.RELEASED:
-                # T0 may be this very moment: what can not be unloaded any more must not run either.
+            self.armed_step = None
+            if armed_step.phase is StepPhase.RELEASED:
+                # T0 may be at this very moment: a move that can no longer be unloaded must not run either.
                 await self._driver.stop(False)
-            await self._unload()
-            self._emit("disarmed", "disarmed on request", ticket)
-            return Disarmed(begun=begun)
+            await self._unload_step()
+            self._emit("disarmed", "disarmed on request", armed_step)
+            return DisarmedReply(may_have_started=begun)
 
     # Ways out
 
     async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
-        """Stop the controller now, whatever it does; nothing that is loaded starts afterwards. follow: the end of a
-        step that moves is told once it is at rest, with its evidence."""
+        """Stop the controller now, whatever it does; nothing that is loaded starts afterwards.
+
+        follow: the end of a moving step is reported once it is at rest, with its evidence."""
         self._interruptions += 1
-        self._asked_ns = -ASKED_QUIET_NS
-        if follow and self.ticket is not None and self.ticket.phase is Phase.MOVING:
+        self._requested_ns = -QUIET_AFTER_REQUEST_NS
+        if follow and self.armed_step is not None and self.armed_step.phase is StepPhase.MOVING:
             await self._driver.stop(abort)
             return
-        ticket, self.ticket = self.ticket, None
+        armed_step, self.armed_step = self.armed_step, None
         await self._driver.stop(abort)
-        if ticket is not None:
-            self._emit("stopped", reason, ticket)
+        if armed_step is not None:
+            self._emit("stopped", reason, armed_step)
 
-    async def abandon(self, reason: str) -> None:
-        """The coordinator is gone: unload what has not started, stop what moves."""
-        ticket = self.ticket
-        if ticket is None:
+    async def abandon_step(self, reason: str) -> None:
+        """Handle the loss of the coordinator: unload what has not started, stop what moves."""
+        armed_step = self.armed_step
+        if armed_step is None:
             return
-        if ticket.phase in (Phase.RELEASED, Phase.MOVING):
+        if armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING):
             await self.stop(False, reason)
             return
         self._interruptions += 1
-        self.ticket = None
-        await self._unload()
-        self._emit("disarmed", reason, ticket)
+        self.armed_step = None
+        await self._unload_step()
+        self._emit("disarmed", reason, armed_step)
 
-    async def _unload(self) -> None:
-        """Unload whatever is loaded. If the link is given up meanwhile, nobody knows whether it was: a stop is owed."""
-        self.stop_owed = True
-        await self._driver.disarm()
-        self.stop_owed = False
+    async def _unload_step(self) -> None:
+        """Unload the step. If the link is lost meanwhile, the result is unknown: the stop stays pending."""
+        self.stop_pending = True
+        await self._driver.disarm_move()
+        self.stop_pending = False
 
-    async def fail(self, reason: str) -> None:
-        """Something of the controller failed in motion: what still moves of it stops, and the coordinator hears why."""
+    async def fail_step(self, reason: str) -> None:
+        """Handle a failure in motion: stop the remaining axes and report the reason to the coordinator."""
         self._interruptions += 1
-        ticket, self.ticket = self.ticket, None
-        if ticket is not None:
-            self._emit("failed", reason, ticket)
-            await self._stop_failed()
+        armed_step, self.armed_step = self.armed_step, None
+        if armed_step is not None:
+            self._emit("failed", reason, armed_step)
+            await self._stop_failed_step()
 
-    async def _stop_failed(self) -> None:
-        """Stop what has failed. Raises `LinkClosed`, `DriverFault`: the stop is owed, then."""
-        self.stop_owed = True
+    async def _stop_failed_step(self) -> None:
+        """Stop after a failure. Raises `LinkClosed`, `ControllerFault`: then the stop stays pending."""
+        self.stop_pending = True
         await self._driver.stop(False)
-        self.stop_owed = False
+        self.stop_pending = False
 
-    def lost(self, reason: str) -> None:
-        """The controller can not be reached any more, or has forgotten the step."""
+    def drop_step(self, reason: str) -> None:
+        """Drop the step: the controller is unreachable, or has lost its memory of the step."""
         self._interruptions += 1
-        self.stop_owed = False
-        ticket, self.ticket = self.ticket, None
-        if ticket is not None:
-            self._emit("failed", reason, ticket)
+        self.stop_pending = False
+        armed_step, self.armed_step = self.armed_step, None
+        if armed_step is not None:
+            self._emit("failed", reason, armed_step)
 
     @property
-    def loading(self) -> bool:
-        """Whether a step is being loaded at this moment, though the link may have been given up meanwhile."""
-        return self._loading.locked()
+    def is_loading(self) -> bool:
+        """Whether a step is being loaded at this moment, possibly without a link by now."""
+        return self._loading_lock.locked()
 
-    async def loaded(self) -> None:
-        """Until nothing is being loaded any more: on a line that others have open, that goes on without a link."""
-        async with self._loading:
+    async def wait_until_loaded(self) -> None:
+        """Wait until no step is being loaded: on a line that is shared with other controllers, loading continues
+        without a link."""
+        async with self._loading_lock:
             pass
 
     def quiet_until_ns(self) -> int | None:
-        """Until when nothing may be sent to the controller only to watch it; None: it may be."""
-        ticket, now_ns = self.ticket, self._clock.now_ns()
-        until_ns = self._asked_ns + ASKED_QUIET_NS
-        if ticket is not None:
-            if ticket.phase is Phase.MOVING:
+        """Return until when the controller must not be polled; None if it may be."""
+        armed_step, now_ns = self.armed_step, self._clock.now_ns()
+        until_ns = self._requested_ns + QUIET_AFTER_REQUEST_NS
+        if armed_step is not None:
+            if armed_step.phase is StepPhase.MOVING:
                 return None
-            if ticket.t0_host_ns - QUIET_NS <= now_ns <= ticket.t0_host_ns:
-                until_ns = ticket.t0_host_ns
+            if armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
+                until_ns = armed_step.t0_host_ns
         return until_ns if now_ns <= until_ns else None
 
-    # Inside
+    # Internals
 
-    def _require(self, request: StepRef, t0_fleet_ns: int, phase: Phase) -> Ticket:
-        ticket = self.ticket
-        if ticket is None or (ticket.job, ticket.step, ticket.t0_fleet_ns) != (request.job, request.step, t0_fleet_ns):
-            raise CannotDo("not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it")
-        if ticket.phase is not phase:
-            raise CannotDo("wrong-phase", f"the step is {ticket.phase.value}, not {phase.value}", "")
-        return ticket
+    def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
+        armed_step = self.armed_step
+        if armed_step is None or (armed_step.job, armed_step.step, armed_step.t0_fleet_ns) != (
+            request.job,
+            request.step,
+            t0_fleet_ns,
+        ):
+            raise Refusal(
+                "not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it first"
+            )
+        if armed_step.phase is not phase:
+            raise Refusal("wrong-phase", f"the step is {armed_step.phase.value}, not {phase.value}", "")
+        return armed_step
 
-    async def _expire(self, ticket: Ticket) -> None:
-        """A step whose `go` has not come by T0 is unloaded."""
-        await sleep_until_ns(self._clock, ticket.t0_host_ns)
-        now = self.ticket
-        same = now is not None and (now.job, now.step, now.t0_fleet_ns) == (ticket.job, ticket.step, ticket.t0_fleet_ns)
-        if same and now is not None and now.phase in (Phase.ARMED, Phase.COMMITTED):
-            await self.abandon("T0 came without a go")
+    async def _unload_at_t0(self, armed_step: ArmedStep) -> None:
+        """Unload a step whose `go` has not arrived by T0."""
+        await sleep_until_ns(self._clock, armed_step.t0_host_ns)
+        now = self.armed_step
+        same = now is not None and (now.job, now.step, now.t0_fleet_ns) == (
+            armed_step.job,
+            armed_step.step,
+            armed_step.t0_fleet_ns,
+        )
+        if same and now is not None and now.phase in (StepPhase.ARMED, StepPhase.COMMITTED):
+            await self.abandon_step("T0 passed without a go")
 
     @property
-    def following(self) -> bool:
-        """Whether the driver has not come to the end of a step yet, though that may have been stopped."""
-        return self._followed > 0
+    def is_following(self) -> bool:
+        """Whether the driver has not yet reached the end of a step, possibly a stopped one."""
+        return self._followed_steps > 0
 
-    async def _follow(self, ticket: Ticket) -> None:
-        self._followed += 1
+    async def _follow_step(self, armed_step: ArmedStep) -> None:
+        self._followed_steps += 1
         try:
-            await self._follow_to_end(ticket)
+            await self._follow_to_end(armed_step)
         finally:
-            self._followed -= 1
+            self._followed_steps -= 1
 
-    async def _follow_to_end(self, ticket: Ticket) -> None:
-        """From the gate to the end of the move, with the controller's own evidence."""
+    async def _follow_to_end(self, armed_step: ArmedStep) -> None:
+        """Follow the move from its release to its end, with the controller's own evidence."""
         try:
-            started = await self._driver.started()
-            if self.ticket is not ticket:
-                if self.ticket is None and not self._turn.locked():
-                    await self._driver.outcome()  # stopped just then, and not over before somebody has seen it rest
+            started = await self._driver.wait_for_start()
+            if self.armed_step is not armed_step:
+                if self.armed_step is None and not self._transition_lock.locked():
+                    await self._driver.wait_for_end()  # stopped at this moment: not over before a poll has shown rest
                 return
-            moving = self.ticket = replace(ticket, phase=Phase.MOVING)
-            evidence = {axis: _started(span, ticket.scale) for axis, span in started.items()}
+            moving = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
+            evidence = {axis: _start_evidence(span, armed_step.scale) for axis, span in started.items()}
             unseen = {axis for axis, span in started.items() if not span.seen}
             late_ns = max((span.late_ns for span in started.values()), default=0)
-            text = f"started, {late_ns / 1e6:.1f} ms later than this host promises" if late_ns else "started"
-            self._emit("started", text, moving, _without(evidence, unseen))
-            outcome = await self._driver.outcome()
-            # Who hears of the end plans the next step from the state: it must be that after the move.
-            settled = await self._settle(ticket.axes if outcome.state == "done" else ())
-            if self.ticket is not moving:
+            text = f"started, {late_ns / 1e6:.1f} ms later than this host guarantees" if late_ns else "started"
+            self._emit("started", text, moving, _without_axes(evidence, unseen))
+            outcome = await self._driver.wait_for_end()
+            # The coordinator plans the next step from the state: at the end event it must be the state after the move.
+            settled = await self._settle(armed_step.axes if outcome.state == "done" else ())
+            if self.armed_step is not moving:
                 return
-        except (DriverFault, LinkClosed, CannotDo) as error:
-            if self.ticket is not None and self.ticket.t0_fleet_ns == ticket.t0_fleet_ns:
-                self.lost(str(error))
-                if not isinstance(error, CannotDo):
-                    await self._stop_failed()
-            if isinstance(error, DriverFault):
-                async with self._turn:  # not while the next step is armed
-                    if self.ticket is None:
-                        await self._driver.disarm()  # what did not start as it should is not to be in its way
+        except (ControllerFault, LinkClosed, Refusal) as error:
+            if self.armed_step is not None and self.armed_step.t0_fleet_ns == armed_step.t0_fleet_ns:
+                self.drop_step(str(error))
+                if not isinstance(error, Refusal):
+                    await self._stop_failed_step()
+            if isinstance(error, ControllerFault):
+                async with self._transition_lock:  # not while the next step is armed
+                    if self.armed_step is None:
+                        await (
+                            self._driver.disarm_move()
+                        )  # a move that did not start as planned must not block the next one
             return
-        self.ticket = None
+        self.armed_step = None
         for axis, span in outcome.ended.items():
             if axis in evidence:
-                ended = {"end": _interval(span, ticket.scale), "settled_s": settled.settled_s.get(axis)}
+                ended = {"end": _fleet_interval(span, armed_step.scale), "settled_s": settled.settled_s.get(axis)}
                 evidence[axis] = evidence[axis].model_copy(update=ended)
         if outcome.state != "done":
-            evidence = _without(evidence, unseen)
+            evidence = _without_axes(evidence, unseen)
         kind = "failed" if settled.reason else _KIND_OF_END[outcome.state]
         self._emit(kind, settled.reason or outcome.reason or kind, moving, evidence)
 
@@ -383,17 +416,17 @@ class Member:
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
 
 
-def _without(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
+def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
     return {axis: each for axis, each in evidence.items() if axis not in axes}
 
 
-def _started(span: Span, scale: FleetScale) -> AxisEvidence:
-    return AxisEvidence(start=_interval(span, scale), late_ns=span.late_ns)
+def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
+    return AxisEvidence(start=_fleet_interval(span, scale), late_ns=span.late_ns)
 
 
-def _interval(span: Span, scale: FleetScale) -> Interval:
-    """A span of host time in fleet time, widened by what the scale is not known."""
-    return Interval(
+def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
+    """Convert an interval of host time to fleet time, widened by the uncertainty of the scale."""
+    return TimeInterval(
         earliest_ns=scale.fleet_ns(span.earliest_ns) - scale.bound_ns,
         latest_ns=scale.fleet_ns(span.latest_ns) + scale.bound_ns,
     )

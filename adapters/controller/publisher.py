@@ -1,4 +1,4 @@
-"""A controller as the bus sees it: its state, its events, its information, its clock."""
+"""A controller as it is published on the bus: its state, its events, its information, its clock."""
 
 from collections.abc import Callable, Mapping
 from fractions import Fraction
@@ -7,66 +7,68 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from adapters.contract import Reading
+from adapters.contract import ControllerReading
 from adapters.controller.clock import clock_mapping, learned_crystal
-from adapters.controller.context import Seat
+from adapters.controller.context import ControllerContext
 from adapters.controller.events import EventRing
-from adapters.controller.fencing import Fence
-from adapters.controller.participant import Phase, Ticket
-from adapters.controller.status import Condition
-from adapters.controller.store import Remembered
+from adapters.controller.fencing import EpochFence
+from adapters.controller.participant import ArmedStep, StepPhase
+from adapters.controller.status import ControllerStatus
+from adapters.controller.store import PersistentMemory
 from orchestrator.bus.base import Declared, Priority, RequestRefused, Sample
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import Input, Output
+from orchestrator.model.fleet import DigitalInput, DigitalOutput
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
     ClockQuality,
     ClockReply,
+    ControllerEvent,
+    ControllerInfo,
     ControllerState,
-    Event,
     EventKind,
     EventsRequest,
-    Fault,
-    Info,
+    FaultReport,
     Mode,
 )
 
-CLOCK_EVERY = 10  # states between two puts of the mapping, which moves slowly
+STATES_PER_CLOCK = 10  # states between two publications of the mapping, which drifts slowly
 _NONE = Fraction(0)
 
 
-class Presenter:
-    """Builds and puts what others may know of one controller.
+class StatePublisher:
+    """Build and publish everything about one controller.
 
-    ticket: gives the step that it is loaded with; following: whether one is not over yet. holders: who holds axes.
+    armed_step: returns the step that is loaded.
+    following: returns whether a step is not over yet.
+    holders: returns the lease holders by axis.
     """
 
     def __init__(
         self,
-        seat: Seat,
-        fence: Fence,
-        remembered: Remembered,
-        condition: Condition,
-        ticket: Callable[[], Ticket | None],
+        context: ControllerContext,
+        fence: EpochFence,
+        remembered: PersistentMemory,
+        status: ControllerStatus,
+        armed_step: Callable[[], ArmedStep | None],
         following: Callable[[], bool],
         holders: Callable[[], dict[str, str]],
     ) -> None:
-        self._seat = seat
-        self._controller, self._config, self._driver = seat.controller, seat.config, seat.driver
-        self._bus, self._keys, self._clock = seat.bus, seat.keys, seat.clock
+        self._context = context
+        self._controller, self._config, self._driver = context.controller, context.config, context.driver
+        self._bus, self._keys, self._clock = context.bus, context.keys, context.clock
         self._fence = fence
         self._remembered = remembered
-        self._condition = condition
-        self._ticket = ticket
+        self._status = status
+        self._armed_step = armed_step
         self._following = following
         self._holders = holders
-        self._events = EventRing(seat.instance)
+        self._events = EventRing(context.instance)
         self._state_seq = 0
         self.published_ns = 0
 
-    async def serve(self) -> list[Declared]:
-        """Answer for the last state, for missed events, and for who the controller is."""
+    async def serve_queries(self) -> list[Declared]:
+        """Serve the last state, missed events, the controller's information and its clock."""
         keys, bus = self._keys, self._bus
         return [
             await bus.serve(keys.state(self._controller), self._answer_state),
@@ -76,7 +78,7 @@ class Presenter:
         ]
 
     async def _answer_clock(self, _: Sample) -> bytes:
-        mapping, crystal = self._mapping(), self._driver.crystal()
+        mapping, crystal = self._clock_mapping(), self._driver.crystal_rate()
         return ClockReply(
             controller=self._controller,
             start_classes=list(self._driver.capabilities.start_classes),
@@ -86,65 +88,65 @@ class Presenter:
 
     # State
 
-    def mode(self) -> Mode:
-        """What the controller is doing, in one word."""
-        condition = self._condition
-        if condition.reading is None:
+    def current_mode(self) -> Mode:
+        """Return the activity of the controller as one mode."""
+        status = self._status
+        if status.reading is None:
             return "offline"
-        ticket = self._ticket()
-        if ticket is not None:
-            return "moving" if ticket.phase in (Phase.RELEASED, Phase.MOVING) else ticket.phase.value
-        if condition.homing:
+        armed_step = self._armed_step()
+        if armed_step is not None:
+            return "moving" if armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING) else armed_step.phase.value
+        if status.homing:
             return "homing"
-        if condition.jogging:
+        if status.jogging:
             return "jogging"
-        if any(axis.moving for axis in condition.reading.axes.values()):
-            return "stopping" if self._clock.now_ns() < condition.stopping_until_ns else "moving"
-        unseen = condition.reading.at_ns < condition.stopped_ns and self._clock.now_ns() < condition.stopping_until_ns
+        if any(axis.moving for axis in status.reading.axes.values()):
+            return "stopping" if self._clock.now_ns() < status.stopping_until_ns else "moving"
+        unseen = status.reading.at_ns < status.stopped_ns and self._clock.now_ns() < status.stopping_until_ns
         if unseen or self._following():
-            return "stopping"  # nobody has seen yet that it rests
-        return "fault" if condition.faults else "idle"
+            return "stopping"  # rest has not been observed yet
+        return "fault" if status.faults else "idle"
 
-    def state(self) -> ControllerState:
-        """The full state as it is known now."""
-        reading, ticket = self._condition.reading, self._ticket()
+    def current_state(self) -> ControllerState:
+        """Return the full state as known now."""
+        reading, armed_step = self._status.reading, self._armed_step()
         return ControllerState(
             controller=self._controller,
-            instance=self._seat.instance,
+            instance=self._context.instance,
             seq=self._state_seq,
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
             read_fleet_ns=None if reading is None else self._in_fleet_time(reading.at_ns),
-            mode=self.mode(),
-            axes={name: self._axis(name, reading) for name in self._config.axes},
-            inputs=_named(self._config.inputs, reading.inputs) if reading else {},
-            outputs=_named(self._config.outputs, reading.outputs) if reading else {},
-            faults=self._condition.faults,
+            mode=self.current_mode(),
+            axes={name: self._axis_state(name, reading) for name in self._config.axes},
+            inputs=_named_points(self._config.inputs, reading.inputs) if reading else {},
+            outputs=_named_points(self._config.outputs, reading.outputs) if reading else {},
+            faults=self._status.faults,
             clock=self._clock_quality(),
-            estop=self._fence.latch,
+            estop=self._fence.estop_latch,
             epoch=self._fence.epoch,
             digest=self._config.digest,
-            job=ticket.job if ticket else None,
-            step=ticket.step if ticket else None,
+            job=armed_step.job if armed_step else None,
+            step=armed_step.step if armed_step else None,
             leases=self._holders(),
             event_seq=self._events.last_seq,
         )
 
-    def publish(self) -> ControllerState:
-        """Put the state, which it gives, and now and then the clock mapping."""
+    def publish_state(self) -> ControllerState:
+        """Publish the state, and from time to time the clock mapping; return the state."""
         self._state_seq += 1
         self.published_ns = self._clock.now_ns()
-        state = self.state()
+        state = self.current_state()
         self._bus.put(self._keys.state(self._controller), state.to_json(), Priority.STATE)
-        mapping = self._mapping()
-        if mapping is not None and self._state_seq % CLOCK_EVERY == 0:
+        mapping = self._clock_mapping()
+        if mapping is not None and self._state_seq % STATES_PER_CLOCK == 0:
             shown = clock_mapping(self._controller, mapping, self._clock.now_ns())
             self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
         return state
 
-    def _axis(self, name: str, reading: Reading | None) -> AxisState:
+    def _axis_state(self, name: str, reading: ControllerReading | None) -> AxisState:
         axis = self._config.axes[name]
-        offset = self._remembered.now.offsets.get(name, _NONE)
+        offset = self._remembered.values.offsets.get(name, _NONE)
         if reading is None:
             return AxisState(
                 position=0.0,
@@ -155,7 +157,7 @@ class Presenter:
                 commanded_counts=0,
                 offset=offset,
                 unit=axis.unit,
-                moving=self._condition.may_move,
+                moving=self._status.may_move,
                 enabled=False,
                 referenced=False,
             )
@@ -163,8 +165,8 @@ class Presenter:
         motor = axis.to_unit(now.actual_counts)
         shift = float(offset) if offset else 0.0
         return AxisState(
-            position=axis.wrapped(motor + shift),
-            commanded=axis.wrapped(axis.to_unit(now.commanded_counts) + shift),
+            position=axis.wrap_position(motor + shift),
+            commanded=axis.wrap_position(axis.to_unit(now.commanded_counts) + shift),
             velocity=axis.to_unit(now.velocity_counts_s),
             motor_position=motor,
             raw_counts=now.actual_counts,
@@ -172,18 +174,18 @@ class Presenter:
             offset=offset,
             unit=axis.unit,
             moving=now.moving,
-            homing=name in self._condition.homing,
-            enabled=now.enabled and name not in self._condition.braked,
-            referenced=self._condition.referenced[name],
+            homing=name in self._status.homing,
+            enabled=now.enabled and name not in self._status.braked,
+            referenced=self._status.referenced[name],
             limit=now.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
         )
 
-    def _mapping(self) -> TickMapping | None:
-        return self._driver.mapping() if self._condition.reading is not None else None
+    def _clock_mapping(self) -> TickMapping | None:
+        return self._driver.clock_mapping() if self._status.reading is not None else None
 
     def _clock_quality(self) -> ClockQuality | None:
-        mapping = self._mapping()
+        mapping = self._clock_mapping()
         if mapping is None:
             return None
         now_ns = self._clock.now_ns()
@@ -195,60 +197,61 @@ class Presenter:
         return self._in_fleet_time(self._clock.now_ns())
 
     def _in_fleet_time(self, host_ns: int) -> int | None:
-        scale = self._seat.scale()
+        scale = self._context.scale()
         return None if scale is None else scale.fleet_ns(host_ns)
 
     # Events
 
-    def emit(
+    def emit_event(
         self,
         kind: EventKind,
         text: str,
         *,
-        ticket: Ticket | None = None,
+        armed_step: ArmedStep | None = None,
         evidence: Mapping[str, AxisEvidence] | None = None,
-        fault: Fault | None = None,
+        fault: FaultReport | None = None,
     ) -> None:
-        """Put an event, keep it for those who miss it, and log it; a fault with the last bytes on the link."""
-        event = Event(
+        """Publish an event, keep it for subscribers that miss it, and log it; a fault with the last bytes on the
+        link."""
+        event = ControllerEvent(
             controller=self._controller,
-            instance=self._seat.instance,
+            instance=self._context.instance,
             seq=self._events.last_seq + 1,
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
             kind=kind,
             text=text,
-            job=ticket.job if ticket else None,
-            step=ticket.step if ticket else None,
+            job=armed_step.job if armed_step else None,
+            step=armed_step.step if armed_step else None,
             evidence=dict(evidence or {}),
             fault=fault,
         )
-        self._bus.put(self._keys.event(self._controller), self._events.add(event), Priority.EVENT)
+        self._bus.put(self._keys.event(self._controller), self._events.add_event(event), Priority.EVENT)
         about = {"controller": self._controller, "kind": kind, "job": event.job, "step": event.step}
-        self._seat.log.info(text, **about, epoch=self._fence.epoch)
+        self._context.log.info(text, **about, epoch=self._fence.epoch)
         if kind in ("fault", "failed", "offline"):
-            self._seat.log.info(
-                "the last bytes on the link", controller=self._controller, trace=self._seat.trace.tail_text()
+            self._context.log.info(
+                "the last bytes on the link", controller=self._controller, trace=self._context.trace.tail_text()
             )
 
-    # Answers
+    # Replies
 
     async def _answer_state(self, _: Sample) -> bytes:
-        return self.state().to_json()
+        return self.current_state().to_json()
 
     async def _answer_events(self, sample: Sample) -> bytes:
         try:
             request = EventsRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(explain(error)) from None
-        return self._events.after(request.after).to_json()
+            raise RequestRefused(first_error_text(error)) from None
+        return self._events.events_after(request.after).to_json()
 
     async def _answer_info(self, _: Sample) -> bytes:
-        identity, capabilities = self._condition.identity, self._driver.capabilities
-        return Info(
+        identity, capabilities = self._status.identity, self._driver.capabilities
+        return ControllerInfo(
             controller=self._controller,
-            instance=self._seat.instance,
-            make=self._seat.make.name,
+            instance=self._context.instance,
+            make=self._context.make.name,
             model=identity.model if identity else "",
             firmware=identity.firmware if identity else "",
             serial=identity.serial if identity else "",
@@ -258,22 +261,24 @@ class Presenter:
             independent_axes=capabilities.independent_axes,
             costs=capabilities.costs,
             digest=self._config.digest,
-            options_schema=_schema(self._seat.make.options),
+            options_schema=_options_schema(self._context.make.options_model),
         ).to_json()
 
 
 @cache
-def _schema(options: type[BaseModel]) -> dict[str, Any]:
-    """The JSON Schema of a make's options, which takes pydantic some milliseconds each time."""
+def _options_schema(options: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON Schema of a make's options, which takes pydantic some milliseconds each time."""
     return options.model_json_schema()
 
 
-def _named(points: Mapping[str, Input] | Mapping[str, Output], levels: Mapping[int, bool]) -> dict[str, bool]:
-    """Named inputs or outputs, true where active."""
+def _named_points(
+    points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput], levels: Mapping[int, bool]
+) -> dict[str, bool]:
+    """Return named inputs or outputs, true where active."""
     return {name: levels.get(each.number, False) == (each.active == "high") for name, each in points.items()}
 
 
-def explain(error: ValidationError) -> str:
-    """The first thing that is wrong with a payload, for the one who sent it."""
+def first_error_text(error: ValidationError) -> str:
+    """Return the first error of a payload, for its sender."""
     first = error.errors()[0]
     return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"

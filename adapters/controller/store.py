@@ -1,4 +1,4 @@
-"""What an adapter remembers over its own death: e-stop latch, highest epoch seen, user offsets of axes."""
+"""Adapter memory that survives a crash: e-stop latch, highest epoch seen, user offsets of axes."""
 
 import os
 from pathlib import Path
@@ -6,13 +6,13 @@ from typing import Any, Protocol
 
 from pydantic import Field, ValidationError
 
-from orchestrator.clock.executor import Runs
+from orchestrator.clock.executor import Executor
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.state import EstopLatch
 
 
-class Memory(Model):
-    """The remembered values. offsets: by axis, in its unit."""
+class AdapterMemory(Model):
+    """The persistent values. offsets: by axis, in its unit."""
 
     epoch: Int53 = 0
     coordinator: str = ""
@@ -20,45 +20,45 @@ class Memory(Model):
     offsets: dict[str, Rational] = Field(default={})
 
 
-class Store(Protocol):
-    """Where one controller's memory is kept."""
+class AdapterStore(Protocol):
+    """Storage for one controller's memory."""
 
-    def load(self) -> Memory: ...
+    def load(self) -> AdapterMemory: ...
 
-    def save(self, memory: Memory) -> None:
-        """Keep `memory`; it is safe when this returns."""
+    def save(self, memory: AdapterMemory) -> None:
+        """Save `memory`; it is on disk when this returns."""
         ...
 
 
-class Remembered:
-    """The memory at hand: changed at once, and safe after `keep`."""
+class PersistentMemory:
+    """The memory of one controller: changed at once, and saved by `persist`."""
 
-    def __init__(self, store: Store, runs: Runs) -> None:
+    def __init__(self, store: AdapterStore, runs: Executor) -> None:
         self._store = store
         self._runs = runs
-        self.now = self._kept = store.load()
+        self.values = self._kept = store.load()
 
-    def change(self, **fields: Any) -> None:
-        self.now = self.now.model_copy(update=fields)
+    def change_values(self, **fields: Any) -> None:
+        self.values = self.values.model_copy(update=fields)
 
-    async def keep(self) -> None:
-        """What has been changed so far is safe when this returns. Raises `OSError`."""
-        memory = self.now
+    async def persist(self) -> None:
+        """Save all changes made so far. Raises `OSError`."""
+        memory = self.values
         if memory is not self._kept:
             await self._runs(self._store.save, memory)
             self._kept = memory
 
 
-class MemoryStore:
+class VolatileStore:
     """A store in memory that outlives a virtual process, as a disk does."""
 
     def __init__(self) -> None:
-        self._memory = Memory()
+        self._memory = AdapterMemory()
 
-    def load(self) -> Memory:
+    def load(self) -> AdapterMemory:
         return self._memory
 
-    def save(self, memory: Memory) -> None:
+    def save(self, memory: AdapterMemory) -> None:
         self._memory = memory
 
 
@@ -68,17 +68,17 @@ class FileStore:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def load(self) -> Memory:
-        """What was saved. A file that can not be read counts as a latched e-stop: that is the safe reading."""
+    def load(self) -> AdapterMemory:
+        """Return the saved memory. An unreadable file counts as a latched e-stop: that is the safe interpretation."""
         try:
-            return Memory.model_validate_json(self._path.read_bytes())
+            return AdapterMemory.model_validate_json(self._path.read_bytes())
         except FileNotFoundError:
-            return Memory()
+            return AdapterMemory()
         except (OSError, ValidationError) as error:
-            reason = f"{self._path} can not be read ({type(error).__name__}); reset the e-stop to go on"
-            return Memory(estop=EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc=""))
+            reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
+            return AdapterMemory(estop=EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc=""))
 
-    def save(self, memory: Memory) -> None:
+    def save(self, memory: AdapterMemory) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         fresh = self._path.with_suffix(".new")
         with fresh.open("wb") as file:

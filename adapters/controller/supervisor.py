@@ -1,6 +1,6 @@
-"""One controller on the bus: its link kept alive, polled, and its parts put together.
+"""Supervision of one controller: its link is kept alive, its state polled, and its components connected to the bus.
 
-Everything here is common to all makes; the make is behind `Driver`.
+Everything here is common to all makes; make-specific code is behind `Driver`.
 """
 
 import asyncio
@@ -10,109 +10,116 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
-from adapters.contract import CannotDo, DriverFault, Reading
-from adapters.controller.commands import Commands, Parts
-from adapters.controller.context import Seat
-from adapters.controller.fencing import Fence
-from adapters.controller.jogging import Jogging
-from adapters.controller.leases import Leases
+from adapters.contract import ControllerReading
+from adapters.controller.commands import Components, ControllerCommands
+from adapters.controller.context import ControllerContext
+from adapters.controller.fencing import EpochFence
+from adapters.controller.jogging import JogControl
+from adapters.controller.leases import MotionLeases
 from adapters.controller.limits import check_profiles
-from adapters.controller.motors import Motors
-from adapters.controller.participant import Member, Phase, Ticket
-from adapters.controller.publisher import Presenter
-from adapters.controller.referencing import Referencing
-from adapters.controller.settling import Settling
-from adapters.controller.status import Condition
-from adapters.controller.store import Remembered
+from adapters.controller.motors import MotorControl
+from adapters.controller.participant import ArmedStep, StepParticipant, StepPhase
+from adapters.controller.publisher import StatePublisher
+from adapters.controller.referencing import AxisReferencing
+from adapters.controller.settling import SettlingMonitor
+from adapters.controller.status import ControllerStatus
+from adapters.controller.store import PersistentMemory
 from orchestrator.bus.base import Declared, Handler
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import Arm, Propose
-from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, EventKind, Fault
+from orchestrator.model.messages import ArmRequest, ProposeRequest
+from orchestrator.model.state import AxisEvidence, ControllerState, EstopLatch, EventKind, FaultReport
 
 BACKOFF_FIRST_NS = 200 * NS_PER_MS
 BACKOFF_LONGEST_NS = 5 * NS_PER_S
-TOLD_NS = 30 * NS_PER_MS  # after an e-stop, to people and to the disk: first all units of the host are to stop
-BEGUN_NS = 300 * NS_PER_MS  # after T0: by then it can be seen whether somebody moves
-BEAT_NS = 400 * NS_PER_MS  # who says nothing for 0.7 s is believed dead
-POLLS_APART = 0.08  # of their period
-STOP_LEAVES_NS = 150 * NS_PER_MS  # for a stop's bytes to be sent and answered before its link is closed
+# delay after an e-stop before it is published and saved: all controllers of the host stop first
+ESTOP_PUBLISH_DELAY_NS = 30 * NS_PER_MS
+START_VISIBLE_NS = 300 * NS_PER_MS  # after T0: by then a poll shows whether an axis moves
+HEARTBEAT_NS = 400 * NS_PER_MS  # an adapter that is silent for 0.7 s counts as dead
+POLL_SPREAD = 0.08  # of the poll period
+STOP_SEND_NS = 150 * NS_PER_MS  # time for the bytes of a stop to be sent and acknowledged before the link is closed
 
 
-class Unit:
-    """Runs the controller of `seat`; its e-stop latch and epoch are `remembered`."""
+class ControllerSupervisor:
+    """Supervise the controller of `context`; `remembered` holds its e-stop latch and epoch."""
 
-    def __init__(self, seat: Seat, remembered: Remembered) -> None:
-        self.controller = seat.controller
-        self._seat = seat
-        self._config, self._driver = seat.config, seat.driver
-        self._bus, self._keys, self._clock, self._log = seat.bus, seat.keys, seat.clock, seat.log
-        self._fence = Fence(remembered)
-        self._condition = Condition(seat.config)
-        driver, condition = seat.driver, self._condition
-        self._leases = Leases(seat.config, seat.clock, lambda: driver.capabilities.independent_axes, self._lease_ended)
-        self._settling = Settling(seat.clock, condition, self.refresh)
-        self._member = Member(
-            seat.controller,
-            seat.driver,
-            seat.clock,
-            self._check,
+    def __init__(self, context: ControllerContext, remembered: PersistentMemory) -> None:
+        self.controller = context.controller
+        self._context = context
+        self._config, self._driver = context.config, context.driver
+        self._bus, self._keys, self._clock, self._log = context.bus, context.keys, context.clock, context.log
+        self._fence = EpochFence(remembered)
+        self._status = ControllerStatus(context.config)
+        driver, condition = context.driver, self._status
+        self._leases = MotionLeases(
+            context.config, context.clock, lambda: driver.capabilities.independent_axes, self._handle_lease_end
+        )
+        self._settling = SettlingMonitor(context.clock, condition, self.poll_and_publish)
+        self._participant = StepParticipant(
+            context.controller,
+            context.driver,
+            context.clock,
+            self._check_step,
             self._require_scale,
             self._emit_step,
-            self._settling.wait,
-            self._spawn,
-            seat.lowering,
+            self._settling.wait_until_settled,
+            self._spawn_task,
+            context.lowering_lock,
         )
-        self._presenter = Presenter(
-            seat,
+        self._publisher = StatePublisher(
+            context,
             self._fence,
             remembered,
             condition,
-            lambda: self._member.ticket,
-            lambda: self._member.following,
+            lambda: self._participant.armed_step,
+            lambda: self._participant.is_following,
             lambda: self._leases.holders,
         )
-        self._jogging = Jogging(driver, seat.clock, condition, self._spawn, self.poke)
-        self._motors = Motors(driver, seat.clock, condition, self._settling, self.refresh)
-        self._referencing = Referencing(driver, self._settling, condition, self._presenter.emit, self.refresh)
-        parts = Parts(
+        self._jogging = JogControl(driver, context.clock, condition, self._spawn_task, self.wake_poll)
+        self._motors = MotorControl(driver, context.clock, condition, self._settling, self.poll_and_publish)
+        self._referencing = AxisReferencing(
+            driver, self._settling, condition, self._publisher.emit_event, self.poll_and_publish
+        )
+        parts = Components(
             fence=self._fence,
             remembered=remembered,
             leases=self._leases,
-            member=self._member,
+            participant=self._participant,
             jogging=self._jogging,
             motors=self._motors,
             referencing=self._referencing,
-            condition=condition,
-            presenter=self._presenter,
+            status=condition,
+            publisher=self._publisher,
         )
-        self._commands = Commands(seat, parts, self)
-        self._stop_owed = False
-        # What has brought sixteen controllers to rest together must not have all of them read together ever after.
-        self._apart = 1.0 + POLLS_APART * (crc32(seat.controller.encode()) % 64) / 64
-        self._met = False
-        self._poke = asyncio.Event()
+        self._commands = ControllerCommands(context, parts, self)
+        self._stop_pending = False
+        # Polls are spread out: after a common stop, 16 controllers would otherwise be polled at the same instant for
+        # ever.
+        self._poll_spread = 1.0 + POLL_SPREAD * (crc32(context.controller.encode()) % 64) / 64
+        self._is_connected = False
+        self._poll_wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
 
-    # Life
+    # Life cycle
 
     async def start(self) -> None:
-        """Take the controller's place on the bus; come up latched if any other controller of the fleet is."""
+        """Start serving the controller on the bus; start latched if any other controller of the fleet is latched."""
         self._declared = [
-            *await self._presenter.serve(),
-            await self._bus.serve(self._keys.cmd(self.controller), self._commands.answer),
+            *await self._publisher.serve_queries(),
+            await self._bus.serve(self._keys.cmd(self.controller), self._commands.answer_command),
         ]
-        await self._take_over_latch()
+        await self._adopt_fleet_latch()
         self._declared.append(
-            await self._bus.announce(self._keys.live("controller", self.controller, self._seat.instance))
+            await self._bus.announce(self._keys.live("controller", self.controller, self._context.instance))
         )
-        self._spawn(self._live())
+        self._spawn_task(self._keep_connected())
 
     async def close(self) -> None:
-        """Leave the bus and the link. The controller is left as it is."""
+        """Leave the bus and close the link. The controller stays as it is."""
         declared, self._declared = self._declared, []
         for each in declared:
             await each.undeclare()
@@ -121,11 +128,11 @@ class Unit:
         await self._driver.close()
 
     @property
-    def answer(self) -> Handler | None:
-        """What answers its commands; None while it has no place on the bus."""
-        return self._commands.answer if self._declared else None
+    def command_handler(self) -> Handler | None:
+        """The handler of the controller's commands; None while it is not on the bus."""
+        return self._commands.answer_command if self._declared else None
 
-    async def _take_over_latch(self) -> None:
+    async def _adopt_fleet_latch(self) -> None:
         replies = await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)
         for key in sorted(replies):
             try:
@@ -134,344 +141,364 @@ class Unit:
                 continue
             if state.estop is not None and state.controller != self.controller:
                 self._fence.latch_estop(state.estop)
-        await self._fence.keep()
+        await self._fence.persist()
 
-    async def _live(self) -> None:
-        """Reach the controller, serve it until the link breaks, and again, with growing pauses."""
-        self._spawn(self._beat())
+    async def _keep_connected(self) -> None:
+        """Connect to the controller, serve it until the link breaks, and reconnect with growing back-off."""
+        self._spawn_task(self._publish_heartbeats())
         pause_ns = BACKOFF_FIRST_NS
         while True:
             try:
-                await self._reach()
+                await self._connect()
                 await self._driver.configure()
-                await self._referencing.load_limits(list(self._config.axes))
+                await self._referencing.load_soft_limits(list(self._config.axes))
                 pause_ns = 0
-                await self._serve()
+                await self._poll_until_lost()
             except LinkRefused as error:
-                self._offline(Fault(code="link-refused", text=str(error), remedy="check power, cable and address"))
+                self._handle_offline(
+                    FaultReport(code="link-refused", text=str(error), remedy="check power, cable and address")
+                )
             except LinkClosed as error:
-                self._offline(Fault(code="link-closed", text=str(error), remedy="check the cable; it is tried again"))
-            except DriverFault as error:
-                self._offline(error.fault)
-            except CannotDo as error:
-                self._offline(Fault(code=error.refusal.code, text=error.refusal.text, remedy=error.refusal.remedy))
+                self._handle_offline(
+                    FaultReport(
+                        code="link-closed", text=str(error), remedy="check the cable; the adapter keeps reconnecting"
+                    )
+                )
+            except ControllerFault as error:
+                self._handle_offline(FaultReport.of(error))
+            except Refusal as error:
+                self._handle_offline(FaultReport(code=error.code, text=error.text, remedy=error.remedy))
             await self._driver.close()
-            if pause_ns or not self._stop_owed:
-                # What was loaded when the link broke may be about to begin: its stop is tried at once.
+            if pause_ns or not self._stop_pending:
+                # A step that was loaded when the link broke may be about to begin: its stop is sent without a pause.
                 await sleep_ns(self._clock, max(pause_ns, BACKOFF_FIRST_NS))
             pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
 
-    async def _reach(self) -> None:
-        """Meet the controller. An owed stop is written before, and again to who has answered."""
-        owed, self._stop_owed = self._stop_owed, False
+    async def _connect(self) -> None:
+        """Connect to the controller. A pending stop is sent before the connection is set up, and again after it."""
+        stop_pending, self._stop_pending = self._stop_pending, False
         try:
-            if owed:
-                await self._pay_owed_stop()
-            self._condition.identity = await self._driver.connect()
-            if owed:
-                # Written before, it was quick; but the line may have come back only after it.
+            if stop_pending:
+                await self._send_pending_stop()
+            self._status.identity = await self._driver.connect()
+            if stop_pending:
+                # The stop before was early, but the line may have recovered only after it.
                 await self._driver.stop(False)
         except BaseException:
-            self._stop_owed = self._stop_owed or owed
+            self._stop_pending = self._stop_pending or stop_pending
             raise
-        if owed:
-            self._presenter.emit("stopped", "stopped as soon as the link was back")
+        if stop_pending:
+            self._publisher.emit_event("stopped", "stopped as soon as the link was back")
 
-    async def _pay_owed_stop(self) -> None:
-        """The link broke while a step was loaded, or before a stop could be sent: the controller may be moving.
+    async def _send_pending_stop(self) -> None:
+        """Send the stop that is pending because the link broke while a step was loaded, or before a stop could be sent.
 
-        It is stopped before anything else is asked of it, as a guardian would.
+        The controller may be moving: the stop precedes every other command, as a guardian's does.
         """
-        await self._member.loaded()
-        if not await self._driver.stop_first():
-            link = await self._seat.open_link()
+        await self._participant.wait_until_loaded()
+        if not await self._driver.stop_before_connect():
+            link = await self._context.open_link()
             try:
-                link.write(self._seat.make.stop_bytes(self._config))
-                await sleep_ns(self._clock, STOP_LEAVES_NS)
+                link.write(self._context.make.stop_bytes(self._config))
+                await sleep_ns(self._clock, STOP_SEND_NS)
             finally:
                 await link.close()
 
-    async def _serve(self) -> None:
-        """Poll and publish until the link breaks or the controller stops making sense."""
-        self._condition.faults = []
-        self._met = True
-        await self.refresh()
-        identity = self._condition.identity
-        self._presenter.emit("online", f"{self._seat.make.name} {identity.firmware if identity else ''}".strip())
+    async def _poll_until_lost(self) -> None:
+        """Poll and publish until the link breaks or the controller's replies are invalid."""
+        self._status.faults = []
+        self._is_connected = True
+        await self.poll_and_publish()
+        identity = self._status.identity
+        self._publisher.emit_event(
+            "online", f"{self._context.make.name} {identity.firmware if identity else ''}".strip()
+        )
         while True:
-            await self._next_poll()
-            await self.refresh()
+            await self._wait_for_next_poll()
+            await self.poll_and_publish()
 
-    async def _next_poll(self) -> None:
-        """Wait for the next poll: the fleet file's rate, sooner when poked, never in the quiet time before T0."""
-        rates, ticket = self._config.state, self._member.ticket
-        about_to_move = ticket is not None and ticket.phase is Phase.RELEASED
-        period_s = 1.0 / rates.moving_hz if about_to_move or self.moves else self._apart / rates.idle_hz
-        timer = asyncio.get_running_loop().call_later(period_s, self._poke.set)
+    async def _wait_for_next_poll(self) -> None:
+        """Wait for the next poll: at the configured rate, at once after a wake-up, never in the quiet time before
+        T0."""
+        rates, armed_step = self._config.state, self._participant.armed_step
+        about_to_move = armed_step is not None and armed_step.phase is StepPhase.RELEASED
+        period_s = 1.0 / rates.moving_hz if about_to_move or self.is_moving else self._poll_spread / rates.idle_hz
+        timer = asyncio.get_running_loop().call_later(period_s, self._poll_wake.set)
         try:
-            await self._poke.wait()
+            await self._poll_wake.wait()
         finally:
             timer.cancel()
-        self._poke.clear()
+        self._poll_wake.clear()
         while (until_ns := self._quiet_until_ns()) is not None:
-            # A stop ends the quiet, and pokes; so does a jog that begins.
-            alarm = self._clock.call_at_ns(until_ns + NS_PER_MS, self._poke.set)
+            # A stop ends the quiet time by a wake-up; so does the beginning of a jog.
+            alarm = self._clock.call_at_ns(until_ns + NS_PER_MS, self._poll_wake.set)
             try:
-                await self._poke.wait()
+                await self._poll_wake.wait()
             finally:
                 alarm.cancel()
-            self._poke.clear()
+            self._poll_wake.clear()
 
     def _quiet_until_ns(self) -> int | None:
-        """Until when it is not polled; None: it is. Who is moved by hand is watched, whatever else is asked of it."""
-        by_hand = self._condition.jogging or self._condition.homing
-        return None if by_hand else self._member.quiet_until_ns()
+        """Return until when the controller is not polled; None: it is polled. A jogging or homing controller is always
+        polled."""
+        manual_motion = self._status.jogging or self._status.homing
+        return None if manual_motion else self._participant.quiet_until_ns()
 
-    async def _beat(self) -> None:
-        """The adapter's heartbeat while its controller is not polled: it is out of reach, its line is taken, or the
-        fleet file has it polled seldom.
+    async def _publish_heartbeats(self) -> None:
+        """Publish the adapter's heartbeat while its controller is not polled: it is unreachable, its line is busy, or
+        the fleet file sets a low poll rate.
 
-        Not in motion: nobody is to believe that all is well there who has not seen it.
+        No heartbeat in motion: without a poll the state of a moving controller is unknown.
         """
         while True:
-            wait_ns = self._presenter.published_ns + BEAT_NS - self._clock.now_ns()
+            wait_ns = self._publisher.published_ns + HEARTBEAT_NS - self._clock.now_ns()
             if wait_ns <= 0:
-                ticket = self._member.ticket
-                waits = ticket is not None and self._clock.now_ns() < ticket.t0_host_ns
-                if waits or self._presenter.mode() != "moving":
-                    self._presenter.publish()
-                wait_ns = BEAT_NS
+                armed_step = self._participant.armed_step
+                waits = armed_step is not None and self._clock.now_ns() < armed_step.t0_host_ns
+                if waits or self._publisher.current_mode() != "moving":
+                    self._publisher.publish_state()
+                wait_ns = HEARTBEAT_NS
             await sleep_ns(self._clock, wait_ns)
 
-    def poke(self) -> None:
-        """Poll soon: something has begun or ended."""
-        self._poke.set()
+    def wake_poll(self) -> None:
+        """Poll soon: an activity has begun or ended."""
+        self._poll_wake.set()
 
-    # What polls show
+    # Evaluation of polls
 
-    async def refresh(self) -> None:
-        """Read the controller and publish what is new. Raises `LinkClosed` until it has been met: while it is, it
-        answers, but what it is loaded with is not ours."""
-        reading = await self._driver.poll() if self._met else None
-        # It may have been lost while the poll waited for its turn on the line.
-        if reading is None or not self._met:
-            raise LinkClosed("the controller is still to be met")
-        self._take(reading)
-        self._presenter.publish()
+    async def poll_and_publish(self) -> None:
+        """Read the controller and publish the new state. Raises `LinkClosed` until the controller is connected: while
+        the connection is set up the controller replies, but its loaded content is not this adapter's."""
+        reading = await self._driver.poll() if self._is_connected else None
+        # The connection may be lost while the poll waits for its turn on the line.
+        if reading is None or not self._is_connected:
+            raise LinkClosed("the controller is not connected yet")
+        self._handle_reading(reading)
+        self._publisher.publish_state()
 
-    def _take(self, reading: Reading) -> None:
-        """Compare a fresh reading with the last one, and say what has changed."""
-        condition = self._condition
-        before, condition.reading = condition.reading, reading
-        condition.may_move = False
-        unreferenced = self._referencing.look(reading)
+    def _handle_reading(self, reading: ControllerReading) -> None:
+        """Compare a fresh reading with the last one, and report what has changed."""
+        status = self._status
+        before, status.reading = status.reading, reading
+        status.may_move = False
+        unreferenced = self._referencing.handle_reading(reading)
         if reading.restarted:
-            self._presenter.emit("fault", "the controller was restarted; its axes are not referenced any more")
-            self._member.lost("the controller was restarted")
-            self._jogging.ended_all("the controller was restarted")
+            self._publisher.emit_event("fault", "the controller was restarted; its axes are no longer referenced")
+            self._participant.drop_step("the controller was restarted")
+            self._jogging.drop_all("the controller was restarted")
         if unreferenced or reading.restarted:
-            self._spawn(self._referencing.load_limits(list(self._config.axes)))
-        self._jogging.look(reading)
+            self._spawn_task(self._referencing.load_soft_limits(list(self._config.axes)))
+        self._jogging.handle_reading(reading)
         for name, now in reading.axes.items():
             old = before.axes[name].limit if before is not None else "none"
             if now.limit not in ("none", old):
-                self._presenter.emit("limit", f"axis {name} is on its {now.limit} limit switch")
+                self._publisher.emit_event("limit", f"axis {name} is on its {now.limit} limit switch")
         for name, point in self._config.inputs.items():
             level = reading.inputs.get(point.number)
             if before is not None and before.inputs.get(point.number) != level:
                 active = level == (point.active == "high")
-                self._presenter.emit("input", f"input {name} is {'active' if active else 'inactive'}")
-        faults = [*reading.faults, *self._settling.faults(reading)]
-        known = {(fault.code, fault.axis) for fault in condition.faults}
+                self._publisher.emit_event("input", f"input {name} is {'active' if active else 'inactive'}")
+        faults = [*reading.faults, *self._settling.find_following_errors(reading)]
+        known = {(fault.code, fault.axis) for fault in status.faults}
         for fault in faults:
             if (fault.code, fault.axis) not in known:
-                self._presenter.emit("fault", fault.text, fault=fault)
-        if condition.faults and not faults:
-            self._presenter.emit("cleared", "no fault any more")
-        condition.faults = faults
-        if faults and condition.jogging:
-            self._spawn(self._jogging.stop(sorted(condition.jogging), faults[0].text))
-        trouble = self._trouble_in_motion(before, reading)
-        if trouble is not None:
-            self._spawn(self._member.fail(trouble))
-        self._see_to_the_stop(reading)
+                self._publisher.emit_event("fault", fault.text, fault=fault)
+        if status.faults and not faults:
+            self._publisher.emit_event("cleared", "all faults are cleared")
+        status.faults = faults
+        if faults and status.jogging:
+            self._spawn_task(self._jogging.stop_axes(sorted(status.jogging), faults[0].text))
+        failure = self._motion_failure(before, reading)
+        if failure is not None:
+            self._spawn_task(self._participant.fail_step(failure))
+        self._repeat_lost_stop(reading)
 
-    def _see_to_the_stop(self, reading: Reading) -> None:
-        """Told to stop is not stopped: on a line that was broken for a moment it was told in vain. Who still moves when
-        it should long have come to rest, and for nobody, is told again."""
-        condition = self._condition
-        if not condition.stop_unseen or reading.at_ns < condition.stopped_ns:
+    def _repeat_lost_stop(self, reading: ControllerReading) -> None:
+        """Repeat a stop without effect: a stop on a disturbed line may be lost. A controller that moves after the time
+        of its stop, without a step, jog or homing, is stopped again."""
+        status = self._status
+        if not status.stop_unseen or reading.at_ns < status.stopped_ns:
             return
         if not any(axis.moving for axis in reading.axes.values()):
-            # Who was loaded when the stop was lost begins in spite of it.
-            condition.stop_unseen = reading.at_ns < condition.begun_by_ns
+            # A step that was loaded when the stop was lost begins in spite of it.
+            status.stop_unseen = reading.at_ns < status.begun_by_ns
             return
-        owned = self._member.ticket is not None or bool(condition.jogging | condition.homing)
-        if not owned and reading.at_ns > condition.stopping_until_ns:
-            self._log.warning("it moves although it was told to stop; told again", controller=self.controller)
-            self._spawn(self.stop(False, "it was told to stop before"))
+        owned = self._participant.armed_step is not None or bool(status.jogging | status.homing)
+        if not owned and reading.at_ns > status.stopping_until_ns:
+            self._log.warning(
+                "the controller moves although it was stopped; the stop is sent again", controller=self.controller
+            )
+            self._spawn_task(self.stop(False, "repeated stop: the controller moved after an earlier one"))
 
-    def _trouble_in_motion(self, before: Reading | None, reading: Reading) -> str | None:
-        """What this poll shows that a moving step can not go on with; one axis in trouble is trouble for all."""
-        ticket = self._member.ticket
-        if ticket is None or ticket.phase is not Phase.MOVING or before is None:
+    def _motion_failure(self, before: ControllerReading | None, reading: ControllerReading) -> str | None:
+        """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
+        failure of the step."""
+        armed_step = self._participant.armed_step
+        if armed_step is None or armed_step.phase is not StepPhase.MOVING or before is None:
             return None
-        if self._condition.faults:
-            return self._condition.faults[0].text
-        for name in ticket.axes:
+        if self._status.faults:
+            return self._status.faults[0].text
+        for name in armed_step.axes:
             now, old = reading.axes[name], before.axes[name]
-            if now.lost and not old.lost:
+            if now.position_lost and not old.position_lost:
                 return f"axis {name} has lost its position"
-            # A switch that was active from the start is being left.
+            # The axis leaves a switch that was active at the start.
             if now.limit not in ("none", old.limit):
                 return f"axis {name} has run into its {now.limit} limit switch"
             if old.enabled and not now.enabled:
                 return f"the motor of axis {name} has switched off"
         return None
 
-    def _offline(self, fault: Fault) -> None:
-        condition, member = self._condition, self._member
-        self._met = False
-        before, condition.reading = condition.reading, None
+    def _handle_offline(self, fault: FaultReport) -> None:
+        status, participant = self._status, self._participant
+        self._is_connected = False
+        before, status.reading = status.reading, None
         was_online = before is not None
-        condition.faults = [fault]
-        # Told to stop is not stopped: what it was told may have been lost with the link.
+        status.faults = [fault]
+        # A stop that was sent is not yet a stop: its bytes may have been lost with the link.
         unseen = before is not None and (
-            before.at_ns < condition.stopped_ns or any(axis.moving for axis in before.axes.values())
+            before.at_ns < status.stopped_ns or any(axis.moving for axis in before.axes.values())
         )
-        # A move that waits for a line does so before its member is armed.
-        loaded = member.ticket is not None or member.following or member.loading or member.stop_owed
-        may_move = unseen or loaded or bool(condition.jogging | condition.homing)
-        condition.may_move = condition.may_move or may_move
-        self._stop_owed = self._stop_owed or may_move
-        condition.homing.clear()
-        self._jogging.ended_all("the link is lost")
-        self._member.lost(f"the link is lost: {fault.text}")
+        # A move that waits for a trigger line waits before the participant is armed.
+        loaded = (
+            participant.armed_step is not None
+            or participant.is_following
+            or participant.is_loading
+            or participant.stop_pending
+        )
+        may_move = unseen or loaded or bool(status.jogging | status.homing)
+        status.may_move = status.may_move or may_move
+        self._stop_pending = self._stop_pending or may_move
+        status.homing.clear()
+        self._jogging.drop_all("the link is lost")
+        self._participant.drop_step(f"the link is lost: {fault.text}")
         if was_online:
-            self._presenter.emit("offline", fault.text, fault=fault)
+            self._publisher.emit_event("offline", fault.text, fault=fault)
         self._log.warning(fault.text, controller=self.controller, code=fault.code)
 
-    # Stops, past everything else
+    # Stops, bypassing everything else
 
     async def stop(self, abort: bool, reason: str, follow: bool = False) -> None:
-        """Stop the controller for whatever reason; nothing that is loaded starts afterwards. follow: a step that moves
-        is followed to its rest."""
-        condition = self._condition
-        condition.stopped_ns = self._clock.now_ns()
-        stop_ns = max(self._driver.capabilities.costs.stop_ns, self._member.stop_ns)
-        condition.stopping_until_ns = condition.stopped_ns + stop_ns
-        condition.stop_unseen = True
-        ticket = self._member.ticket
-        if ticket is not None:
-            condition.begun_by_ns = ticket.t0_host_ns + BEGUN_NS
-        self._jogging.ended_all(reason)
+        """Stop the controller for any reason; nothing that is loaded starts afterwards. follow: keep following a moving
+        step until it is at rest."""
+        status = self._status
+        status.stopped_ns = self._clock.now_ns()
+        stop_ns = max(self._driver.capabilities.costs.stop_ns, self._participant.stop_ns)
+        status.stopping_until_ns = status.stopped_ns + stop_ns
+        status.stop_unseen = True
+        armed_step = self._participant.armed_step
+        if armed_step is not None:
+            status.begun_by_ns = armed_step.t0_host_ns + START_VISIBLE_NS
+        self._jogging.drop_all(reason)
         try:
-            await self._member.stop(abort, reason, follow)
-        except (LinkClosed, LinkRefused, DriverFault):
-            self._stop_owed = True
+            await self._participant.stop(abort, reason, follow)
+        except (LinkClosed, LinkRefused, ControllerFault):
+            self._stop_pending = True
             raise
         finally:
-            self._poke.set()
+            self._poll_wake.set()
 
     @property
-    def moves(self) -> bool:
-        """Whether it moves anything, as far as is known."""
-        return self._presenter.mode() in ("moving", "jogging", "homing", "stopping")
+    def is_moving(self) -> bool:
+        """Whether any axis moves, as far as is known."""
+        return self._publisher.current_mode() in ("moving", "jogging", "homing", "stopping")
 
-    async def estop(self, latch: EstopLatch) -> None:
-        """Latch and stop as fast as the controller can; then outputs and motors go where they are safe."""
+    async def apply_estop(self, latch: EstopLatch) -> None:
+        """Latch and stop as fast as the controller can; then switch outputs and motors to their safe states."""
         fresh = self._fence.latch_estop(latch)
-        self._spawn(self._tell_latch(latch if fresh else None))
-        await self._survive(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
-        await self._survive(self._make_outputs_safe())
-        await self._survive(self._motors.after_estop())
+        self._spawn_task(self._publish_latch(latch if fresh else None))
+        await self._log_errors(self.stop(True, f"e-stop {latch.event} by {latch.actor}"))
+        await self._log_errors(self._make_outputs_safe())
+        await self._log_errors(self._motors.switch_off_after_estop())
 
-    async def _tell_latch(self, fresh: EstopLatch | None) -> None:
-        await sleep_ns(self._clock, TOLD_NS)
+    async def _publish_latch(self, fresh: EstopLatch | None) -> None:
+        await sleep_ns(self._clock, ESTOP_PUBLISH_DELAY_NS)
         if fresh is not None:
-            self._presenter.emit("estop", f"e-stop by {fresh.actor}: {fresh.reason}")
-        self._presenter.publish()
+            self._publisher.emit_event("estop", f"e-stop by {fresh.actor}: {fresh.reason}")
+        self._publisher.publish_state()
         try:
-            await self._fence.keep()
+            await self._fence.persist()
         except OSError as error:
-            self._log.warning(f"the e-stop's latch is not on disk: {error}", controller=self.controller)
+            self._log.warning(f"the e-stop latch is not saved to disk: {error}", controller=self.controller)
 
     async def _make_outputs_safe(self) -> None:
-        """Take the outputs that have a safe state to it."""
-        if self._condition.reading is None:
+        """Switch the outputs that have a safe state to it."""
+        if self._status.reading is None:
             return
         for point in self._config.outputs.values():
             if point.safe is not None:
                 await self._driver.set_output(point.number, point.safe == (point.active == "high"))
 
-    async def coordinator_lost(self, reason: str) -> None:
-        """No heartbeat of the coordinator: unload or stop; nobody holds anything any more."""
-        self._leases.drop(reason)
-        await self._survive(self._member.abandon(reason))
+    async def handle_coordinator_loss(self, reason: str) -> None:
+        """Handle a missing heartbeat of the coordinator: unload or stop, and end all leases."""
+        self._leases.end_all(reason)
+        await self._log_errors(self._participant.abandon_step(reason))
 
-    def _lease_ended(self, holder: str, axes: list[str], reason: str) -> None:
-        """What the holder still moves is stopped."""
-        ticket = self._member.ticket
-        if ticket is not None and ticket.job == holder:
-            self._spawn(self._member.abandon(f"{reason}: {', '.join(axes)}"))
-        if self._condition.homing & set(axes):
-            self._spawn(self.stop(False, reason))
-        self._spawn(self._jogging.stop_holder(holder, reason))
+    def _handle_lease_end(self, holder: str, axes: list[str], reason: str) -> None:
+        """Stop what the holder still moves."""
+        armed_step = self._participant.armed_step
+        if armed_step is not None and armed_step.job == holder:
+            self._spawn_task(self._participant.abandon_step(f"{reason}: {', '.join(axes)}"))
+        if self._status.homing & set(axes):
+            self._spawn_task(self.stop(False, reason))
+        self._spawn_task(self._jogging.stop_jogs_of(holder, reason))
 
-    # What the parts ask of each other
+    # Calls between the components
 
-    def _check(self, request: Propose | Arm) -> None:
-        """Everything that must hold before profiles are executed. Raises `CannotDo`."""
+    def _check_step(self, request: ProposeRequest | ArmRequest) -> None:
+        """Check everything that must hold before profiles are executed. Raises `Refusal`."""
         self._fence.require_no_estop()
-        condition = self._condition
-        condition.online()
+        status = self._status
+        status.require_online()
         if request.digest != self._config.digest:
-            raise CannotDo(
+            raise Refusal(
                 "other-configuration",
-                f"the coordinator believes in configuration {request.digest}, the adapter has {self._config.digest}",
-                "use one fleet file on all hosts and restart",
+                f"the coordinator uses configuration {request.digest}, the adapter {self._config.digest}",
+                "use the same fleet file on all hosts and restart",
             )
-        if isinstance(request, Arm):
-            self._leases.require(request.job, request.profiles)
-        if condition.homing | condition.jogging:
-            doing = "homing" if condition.homing else "jogging"
-            raise CannotDo(doing, f"{min(condition.homing | condition.jogging)} is {doing}", "wait for its end")
-        condition.require_no_fault()
-        check_profiles(condition, request.profiles, request.start.drive is not None)
+        if isinstance(request, ArmRequest):
+            self._leases.require_lease(request.job, request.profiles)
+        if status.homing | status.jogging:
+            doing = "homing" if status.homing else "jogging"
+            raise Refusal(doing, f"{min(status.homing | status.jogging)} is {doing}", "wait for its end")
+        status.require_no_fault()
+        check_profiles(status, request.profiles, request.start.drive is not None)
 
-    def reconfigure(self, config: Controller) -> None:
-        """The host replaces this unit by one with another configuration."""
-        self._seat.reconfigure(self.controller, config)
+    def replace_configuration(self, config: Controller) -> None:
+        """Let the host replace this supervisor by one with another configuration."""
+        self._context.replace_supervisor(self.controller, config)
 
     def _require_scale(self) -> FleetScale:
-        scale = self._seat.scale()
+        scale = self._context.scale()
         if scale is None:
-            raise CannotDo("no-fleet-time", "no coordinator's time is known here", "start a coordinator")
+            raise Refusal("no-fleet-time", "no fleet time: no coordinator has been seen", "start a coordinator")
         return scale
 
     def _emit_step(
-        self, kind: EventKind, text: str, ticket: Ticket, evidence: Mapping[str, AxisEvidence] | None = None
+        self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, AxisEvidence] | None = None
     ) -> None:
-        self._presenter.emit(kind, text, ticket=ticket, evidence=evidence)
-        self._poke.set()
+        self._publisher.emit_event(kind, text, armed_step=armed_step, evidence=evidence)
+        self._poll_wake.set()
 
-    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
-        task = asyncio.get_running_loop().create_task(self._survive(coroutine))
+    def _spawn_task(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
+        task = asyncio.get_running_loop().create_task(self._log_errors(coroutine))
         self._tasks.add(task)
-        task.add_done_callback(self._ended)
-        # A task that is cancelled before its first turn leaves it unbegun.
+        task.add_done_callback(self._handle_task_end)
+        # A task that is cancelled before its first turn would leave the coroutine unstarted.
         task.add_done_callback(lambda _: coroutine.close())
         return task
 
-    async def _survive(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        """What the controller does wrong in the background is said, and met by the link's own supervision."""
+    async def _log_errors(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        """Run `coroutine` and log its errors: link supervision handles what goes wrong in the background."""
         try:
             await coroutine
-        except (LinkClosed, LinkRefused, DriverFault, CannotDo) as error:
+        except (LinkClosed, LinkRefused, ControllerFault, Refusal) as error:
             self._log.warning(f"in the background: {error}", controller=self.controller)
 
-    def _ended(self, task: "asyncio.Task[None]") -> None:
+    def _handle_task_end(self, task: "asyncio.Task[None]") -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
             self._log.warning(f"a defect of the adapter: {error!r}", controller=self.controller)
-            asyncio.get_running_loop().call_exception_handler({"message": "unit task failed", "exception": error})
+            asyncio.get_running_loop().call_exception_handler(
+                {"message": "controller supervisor task failed", "exception": error}
+            )

@@ -1,12 +1,13 @@
-"""The firing process: gets open descriptors and bytes, sleeps to just before the instant, spins, and writes.
+"""The firing process: it receives open descriptors and bytes, sleeps until just before the instant, spins, and writes.
 
-Parent and child speak over a Unix datagram pair, one JSON object a datagram, the descriptor beside it. The child
-runs nothing else, so its wake-up is limited by the scheduler alone. It ends when its parent's end is closed.
+Parent and child communicate over a Unix datagram pair, one JSON object per datagram, with the descriptor as ancillary
+data. The child runs nothing else, so that only the scheduler limits its wake-up. It ends when its parent's end is
+closed.
 
-Where it may, it runs as a real-time process: with two busy processes on two processors, the 99th percentile of its
-wake-up is 8 to 29 µs late in real time, and 3.5 to 3.9 ms without, which is more than all the rest of a start. Where it
-may not, it spins for a moment only: a process that spins has used up its turn when its instant comes. Of 400 wake-ups
-beside four busy processes 174 were later than 0.2 ms after spinning for 2 ms, and 33 after 0.2 ms.
+If permitted, it runs as a real-time process: with two busy processes on two processors, the 99th percentile of its
+wake-up delay is 8 to 29 µs in real time, and 3.5 to 3.9 ms without, which exceeds all other terms of a start. If not
+permitted, it spins for a moment only: a process that spins has used up its time slice when its instant comes. Of 400
+wake-ups with four busy processes, 174 were later than 0.2 ms after spinning for 2 ms, and 33 after spinning for 0.2 ms.
 """
 
 import asyncio
@@ -19,8 +20,8 @@ import sys
 from dataclasses import asdict, dataclass
 from itertools import count
 
-from adapters.contract import Fired
-from adapters.toolkit.firing import ORDINARY_US, URGENT_US, Order, fire
+from adapters.contract import WriteResult
+from adapters.toolkit.firing import ORDINARY_DELAY_US, REALTIME_DELAY_US, WriteOrder, write_at_instant
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.live import begin_live, raw_ns
 from orchestrator.clock.realtime import Urgency, hurry, may_hurry
@@ -32,14 +33,14 @@ DATAGRAM = 4096
 
 
 @dataclass(slots=True)
-class _Pending:
-    order: Order
+class _PendingWrite:
+    order: WriteOrder
     fd: int
 
 
-def serve(control: socket.socket) -> None:
-    """The child: fire what is ordered over `control`, until its other end is closed."""
-    pending: dict[int, _Pending] = {}
+def run_child(control: socket.socket) -> None:
+    """Run the child: fire the orders received over `control` until its other end is closed."""
+    pending: dict[int, _PendingWrite] = {}
     begin_live()
     spin_ns = SPIN_NS if hurry(Urgency.FIRING) else ORDINARY_SPIN_NS
     while True:
@@ -49,12 +50,14 @@ def serve(control: socket.socket) -> None:
             data, fds, _, _ = socket.recv_fds(control, DATAGRAM, 1)
             if not data:
                 return
-            _take(control, json.loads(data), fds, pending)
+            _handle_message(control, json.loads(data), fds, pending)
         elif due is not None:
-            _fire(control, due, pending.pop(due))
+            _write_pending(control, due, pending.pop(due))
 
 
-def _take(control: socket.socket, message: dict[str, int | str], fds: list[int], pending: dict[int, _Pending]) -> None:
+def _handle_message(
+    control: socket.socket, message: dict[str, int | str], fds: list[int], pending: dict[int, _PendingWrite]
+) -> None:
     number = int(message["id"])
     if "cancel" in message:
         found = pending.pop(number, None)
@@ -63,15 +66,15 @@ def _take(control: socket.socket, message: dict[str, int | str], fds: list[int],
         control.send(json.dumps({"id": number, "cancelled": found is not None}).encode())
         return
     data = str(message["data"]).encode("latin-1")
-    pending[number] = _Pending(Order(data, int(message["at_ns"]), int(message["latest_ns"])), fds[0])
+    pending[number] = _PendingWrite(WriteOrder(data, int(message["at_ns"]), int(message["latest_ns"])), fds[0])
 
 
-def _fire(control: socket.socket, number: int, pending: _Pending) -> None:
+def _write_pending(control: socket.socket, number: int, pending: _PendingWrite) -> None:
     while raw_ns() < pending.order.at_ns:
         pass
     answer: dict[str, object] = {"id": number}
     try:
-        fired = fire(pending.order, raw_ns, lambda data: os.write(pending.fd, data))
+        fired = write_at_instant(pending.order, raw_ns, lambda data: os.write(pending.fd, data))
         answer |= asdict(fired)
     except OSError as error:
         answer |= {"error": f"{error.strerror}"}
@@ -80,29 +83,29 @@ def _fire(control: socket.socket, number: int, pending: _Pending) -> None:
     control.send(json.dumps(answer).encode())
 
 
-class _ProcessOrder:
-    """An order that the firing process holds."""
+class _ProcessWrite:
+    """A write that is scheduled in the firing process."""
 
-    def __init__(self, firer: "ProcessFirer", number: int, link: Link, data: bytes) -> None:
+    def __init__(self, firer: "ProcessTimedWriter", number: int, link: Link, data: bytes) -> None:
         self._firer = firer
         self._number = number
         self._link = link
         self._data = data
-        self.fired: asyncio.Future[Fired] = asyncio.get_running_loop().create_future()
+        self.fired: asyncio.Future[WriteResult] = asyncio.get_running_loop().create_future()
         self.cancelled = False
 
-    def cancel(self) -> bool:
+    def cancel_write(self) -> bool:
         if self.fired.done() or self.cancelled:
             return self.cancelled
-        # What the child answers decides: `done` raises CancelledError when it really was in time.
+        # The child's reply decides: `wait_until_written` raises CancelledError when the cancellation was in time.
         self.cancelled = True
-        self._firer.send({"id": self._number, "cancel": 1})
+        self._firer.send_message({"id": self._number, "cancel": 1})
         return True
 
-    async def done(self) -> Fired:
+    async def wait_until_written(self) -> WriteResult:
         return await asyncio.shield(self.fired)
 
-    def answer(self, message: dict[str, object]) -> None:
+    def handle_reply(self, message: dict[str, object]) -> None:
         if self.fired.done():
             return
         if "error" in message:
@@ -110,56 +113,56 @@ class _ProcessOrder:
         elif message.get("cancelled"):
             self.fired.cancel()
         elif "written_ns" in message:
-            fired = Fired(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
+            fired = WriteResult(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
             if not fired.late:
                 self._link.wrote(fired.written_ns, self._data)
             self.fired.set_result(fired)
 
 
-class ProcessFirer:
-    """The parent's side: starts the firing process and hands it orders. Needs a running asyncio loop."""
+class ProcessTimedWriter:
+    """The parent's side: it starts the firing process and sends it orders. Needs a running asyncio loop."""
 
     def __init__(self) -> None:
-        self.late_us = URGENT_US if may_hurry(Urgency.FIRING) else ORDINARY_US
+        self.max_delay_us = REALTIME_DELAY_US if may_hurry(Urgency.FIRING) else ORDINARY_DELAY_US
         self._control, child = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         command = [sys.executable, "-m", "adapters.host.firing_process", str(child.fileno())]
         self._process = subprocess.Popen(command, pass_fds=[child.fileno()], stdin=subprocess.DEVNULL)
         child.close()
         self._control.setblocking(False)
-        self._orders: dict[int, _ProcessOrder] = {}
+        self._writes: dict[int, _ProcessWrite] = {}
         self._numbers = count()
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(self._control, self._read)
+        self._loop.add_reader(self._control, self._read_replies)
 
-    def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _ProcessOrder:
+    def schedule_write(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _ProcessWrite:
         number = next(self._numbers)
-        order = self._orders[number] = _ProcessOrder(self, number, link, data)
+        order = self._writes[number] = _ProcessWrite(self, number, link, data)
         message = {"id": number, "data": data.decode("latin-1"), "at_ns": at_ns, "latest_ns": latest_ns}
         socket.send_fds(self._control, [json.dumps(message).encode()], [link.fileno()])
         return order
 
-    def send(self, message: dict[str, int]) -> None:
+    def send_message(self, message: dict[str, int]) -> None:
         self._control.send(json.dumps(message).encode())
 
-    def _read(self) -> None:
+    def _read_replies(self) -> None:
         try:
             data = self._control.recv(DATAGRAM)
         except BlockingIOError:
             return
         if not data:
-            self._lost()
+            self._handle_process_end()
             return
         message = json.loads(data)
-        order = self._orders.get(message["id"])
+        order = self._writes.get(message["id"])
         if order is not None:
-            order.answer(message)
+            order.handle_reply(message)
             if order.fired.done():
-                del self._orders[message["id"]]
+                del self._writes[message["id"]]
 
-    def _lost(self) -> None:
-        """The process is gone: nothing that it held will fire."""
+    def _handle_process_end(self) -> None:
+        """Handle the end of the process: none of its pending writes will happen."""
         self._loop.remove_reader(self._control)
-        orders, self._orders = self._orders, {}
+        orders, self._writes = self._writes, {}
         for order in orders.values():
             if not order.fired.done():
                 order.fired.set_exception(LinkClosed("the firing process has died"))
@@ -172,4 +175,4 @@ class ProcessFirer:
 
 
 if __name__ == "__main__":
-    serve(socket.socket(fileno=int(sys.argv[1])))
+    run_child(socket.socket(fileno=int(sys.argv[1])))

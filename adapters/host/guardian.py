@@ -1,7 +1,8 @@
 """The guardian: `python -m adapters.host.guardian` with the arguments of the adapter host that it starts and watches.
 
-When its child is dead or hung it kills it, stops the child's controllers over links of its own, and starts it again.
-It imports and does as little as it can, for it must not hang itself. The child's `ready` goes to its own stdout.
+When its child is dead or hung, it kills the child, stops the child's controllers over links of its own, and starts the
+child again. It imports and does as little as possible, because it must not hang itself. The child's `ready` goes to the
+child's own stdout.
 """
 
 import argparse
@@ -15,9 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from adapters.host.host import stops_by_line
-from adapters.host.host_process import BAD_INPUT, BadInput, host_parser, load_host, open_sink
-from adapters.link.last_stop import last_stop
-from adapters.link.open import open_link
+from adapters.host.host_process import BAD_INPUT, InvalidInput, host_parser, load_host, open_sink
+from adapters.link.last_stop import send_last_stop
+from adapters.link.open import make_link_opener
 from orchestrator.bus.log import Log, Sink
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
@@ -27,148 +28,148 @@ from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
 HUNG_MS = 300
-FIRST_BEAT_NS = 20 * NS_PER_S
-LOOK_NS = 20 * NS_PER_MS
+FIRST_HEARTBEAT_NS = 20 * NS_PER_S
+CHECK_NS = 20 * NS_PER_MS
 
-# Where the guardian itself, and so perhaps the whole machine, was held up for longer, no more than this counts as
-# silence of the child: it had no chance to beat, or its beats were not looked for.
-LONGEST_LOOK_NS = 100 * NS_PER_MS
+# If the guardian itself, and so perhaps the whole machine, was suspended for longer, no more than this counts as
+# silence of the child: the child could not send heartbeats, or they were not read.
+LONGEST_CHECK_NS = 100 * NS_PER_MS
 
 BACKOFF_FIRST_S = 0.2
 BACKOFF_LONGEST_S = 5.0
 HEALTHY_NS = 30 * NS_PER_S
-KILL_S = 0.5
-END_S = 5.0  # for the child to end when it is asked to
+CHILD_KILL_S = 0.5
+CHILD_END_S = 5.0  # for the child to end after a request
 
 
-class Silence:
-    """How long a child has not been heard, counted only while the listener itself was awake. Times in ns."""
+class SilenceTimer:
+    """Duration of a child's silence, counted only while the guardian itself was running. Times in ns."""
 
     def __init__(self, now_ns: int) -> None:
-        self._looked_ns = now_ns
+        self._checked_ns = now_ns
         self.lasted_ns = 0
 
-    def look(self, now_ns: int, heard: bool) -> None:
-        """The listener has looked for beats, now."""
-        waited_ns, self._looked_ns = now_ns - self._looked_ns, now_ns
-        self.lasted_ns = 0 if heard else self.lasted_ns + min(waited_ns, LONGEST_LOOK_NS)
+    def record_check(self, now_ns: int, heartbeat_seen: bool) -> None:
+        """Record a check for heartbeats at `now_ns`."""
+        waited_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
+        self.lasted_ns = 0 if heartbeat_seen else self.lasted_ns + min(waited_ns, LONGEST_CHECK_NS)
 
 
-class Child:
-    """One start of the adapter host, and the pipe that it beats on."""
+class HostChild:
+    """One run of the adapter host, and the pipe of its heartbeats."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
-        self.beats, beat_fd = os.pipe()
+        self.heartbeats, beat_fd = os.pipe()
         command = [sys.executable, "-m", "adapters.host.host_process", *arguments, "--beat-fd", str(beat_fd)]
         self.process = subprocess.Popen(command, pass_fds=[beat_fd], stdin=subprocess.DEVNULL)
         os.close(beat_fd)
-        os.set_blocking(self.beats, False)
+        os.set_blocking(self.heartbeats, False)
         self.started_ns = raw_ns()
-        self.beaten = False
-        self._silence = Silence(self.started_ns)
+        self.has_beaten = False
+        self._silence = SilenceTimer(self.started_ns)
 
-    def trouble(self, hung_ns: int) -> str | None:
-        """What is wrong with it now; None while it is well."""
+    def find_failure(self, hung_ns: int) -> str | None:
+        """Return the failure of the child; None while it is healthy."""
         try:
-            beats = os.read(self.beats, 4096)
+            beats = os.read(self.heartbeats, 4096)
         except BlockingIOError:
             heard = False
         else:
             if not beats:
-                return f"the adapter host ended{self._code()}"
-            heard = self.beaten = True
-        self._silence.look(raw_ns(), heard)
-        if self._silence.lasted_ns > (hung_ns if self.beaten else FIRST_BEAT_NS):
+                return f"the adapter host ended{self._exit_code_text()}"
+            heard = self.has_beaten = True
+        self._silence.record_check(raw_ns(), heard)
+        if self._silence.lasted_ns > (hung_ns if self.has_beaten else FIRST_HEARTBEAT_NS):
             return f"the adapter host has been silent for {self._silence.lasted_ns // NS_PER_MS} ms"
         return None
 
-    def _code(self) -> str:
-        """How it ended; it closes its pipe a moment before."""
+    def _exit_code_text(self) -> str:
+        """Return the exit code as text; the pipe closes a moment before the process ends."""
         try:
-            return f" with code {self.process.wait(KILL_S)}"
+            return f" with code {self.process.wait(CHILD_KILL_S)}"
         except subprocess.TimeoutExpired:
             return ""
 
     def kill(self) -> None:
-        """End it at once, stopped or hung as it may be, and wait until its descriptors are free."""
+        """Kill the child, stopped or hung as it may be, and wait until its descriptors are closed."""
         self.process.kill()
-        # One that hangs in the kernel can not be waited for; its controllers can be stopped all the same.
+        # A child that hangs in the kernel cannot be reaped; its controllers can be stopped all the same.
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(KILL_S)
+            self.process.wait(CHILD_KILL_S)
 
     def close(self) -> None:
-        os.close(self.beats)
+        os.close(self.heartbeats)
 
 
-class Guardian:
-    """Keeps one adapter host running. `arguments` are the child's."""
+class HostGuardian:
+    """Keep one adapter host running. `arguments` are the child's."""
 
     def __init__(self, arguments: Sequence[str], controllers: dict[str, Controller], hung_ns: int, log: Log) -> None:
         self._arguments = arguments
         self._controllers = controllers
         self._hung_ns = hung_ns
         self._log = log
-        # Made before they are needed: what has to be imported for them might fail, or take its time.
+        # Created before they are needed: their imports could fail, or take time.
         self._lines = stops_by_line(controllers)
         self._ended = False
         self._woken = asyncio.Event()
 
-    def end(self) -> None:
-        """Ask it to end, with its child."""
+    def request_end(self) -> None:
+        """Request the guardian and its child to end."""
         self._ended = True
         self._woken.set()
 
     async def run(self) -> None:
         pause_s = BACKOFF_FIRST_S
         while not self._ended:
-            child = Child(self._arguments)
+            child = HostChild(self._arguments)
             self._log.info("the adapter host is started", pid=child.process.pid)
             try:
-                trouble = await self._watch(child)
+                trouble = await self._watch_child(child)
                 if trouble is None:
-                    await self._finish(child)
+                    await self._end_child(child)
                     return
                 await self._take_over(child, trouble)
             finally:
                 child.close()
             if raw_ns() - child.started_ns > HEALTHY_NS:
                 pause_s = BACKOFF_FIRST_S
-            await self._wait(pause_s)
+            await self._wait_or_wake(pause_s)
             pause_s = min(2 * pause_s, BACKOFF_LONGEST_S)
 
-    async def _watch(self, child: Child) -> str | None:
-        """Wait for trouble; None when the guardian is asked to end."""
+    async def _watch_child(self, child: HostChild) -> str | None:
+        """Wait for a failure of the child; None when the guardian is requested to end."""
         loop = asyncio.get_running_loop()
-        # Woken by every beat, and by the end of the pipe, which is the end of the child.
-        loop.add_reader(child.beats, self._woken.set)
+        # Woken by every heartbeat, and by the end of the pipe, which is the end of the child.
+        loop.add_reader(child.heartbeats, self._woken.set)
         try:
             while not self._ended:
-                await self._wait(LOOK_NS / NS_PER_S)
-                trouble = child.trouble(self._hung_ns)
+                await self._wait_or_wake(CHECK_NS / NS_PER_S)
+                trouble = child.find_failure(self._hung_ns)
                 if trouble is not None:
                     return trouble
             return None
         finally:
-            loop.remove_reader(child.beats)
+            loop.remove_reader(child.heartbeats)
 
-    async def _take_over(self, child: Child, trouble: str) -> None:
+    async def _take_over(self, child: HostChild, trouble: str) -> None:
         child.kill()
         self._log.info(trouble, level="error", pid=child.process.pid)
-        # Before its first beat it has not touched any controller; whatever moves is then not its doing.
-        if child.beaten:
-            await asyncio.gather(*(self._stop(names, stop) for names, stop in self._lines))
+        # Before its first heartbeat the child has not accessed any controller; no motion is caused by it.
+        if child.has_beaten:
+            await asyncio.gather(*(self._stop_controllers(names, stop) for names, stop in self._lines))
 
-    async def _stop(self, names: Sequence[str], stop: bytes) -> None:
-        """Stop the controllers on one line, past whatever their dead drivers were saying to them."""
+    async def _stop_controllers(self, names: Sequence[str], stop: bytes) -> None:
+        """Stop the controllers on one line, regardless of half-sent commands of their dead drivers."""
         clock, controller = LiveClock(), ", ".join(names)
         begun_ns = clock.now_ns()
         try:
-            done = await last_stop(open_link(self._controllers[names[0]].reached_by, clock), stop, clock)
+            done = await send_last_stop(make_link_opener(self._controllers[names[0]].link_to_open, clock), stop, clock)
         except (LinkRefused, LinkClosed) as error:
             self._log.info(f"NOT stopped: {error}", level="error", controller=controller)
         except Exception as error:
-            # A defect must keep neither the other controllers from their stop, nor the host from its successor.
-            self._log.info(f"NOT stopped, by a defect: {error!r}", level="error", controller=controller)
+            # A defect must not prevent the stop of the other controllers or the restart of the host.
+            self._log.info(f"NOT stopped, because of a defect: {error!r}", level="error", controller=controller)
         else:
             self._log.info(
                 "stopped by the guardian",
@@ -180,17 +181,17 @@ class Guardian:
                 took_ms=round((done.written_ns - begun_ns) / NS_PER_MS, 3),
             )
 
-    async def _finish(self, child: Child) -> None:
-        """The child stops its controllers itself; if it does not end, it is hung."""
+    async def _end_child(self, child: HostChild) -> None:
+        """Let the child end: it stops its controllers itself; if it does not end, it is hung."""
         child.process.terminate()
         try:
-            await asyncio.to_thread(child.process.wait, END_S)
+            await asyncio.to_thread(child.process.wait, CHILD_END_S)
         except subprocess.TimeoutExpired:
-            await self._take_over(child, f"the adapter host did not end within {END_S:g} s")
-        self._log.info("the adapter host is ended")
+            await self._take_over(child, f"the adapter host did not end within {CHILD_END_S:g} s")
+        self._log.info("the adapter host has ended")
 
-    async def _wait(self, duration_s: float) -> None:
-        """Wait, or until there is something to look at."""
+    async def _wait_or_wake(self, duration_s: float) -> None:
+        """Wait for `duration_s`, or until an event occurs."""
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._woken.wait(), duration_s)
         if not self._ended:
@@ -198,9 +199,9 @@ class Guardian:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until ended. Gives 0, or 2 with one line on stderr for bad input."""
+    """Run until ended. Return 0, or 2 with one line on stderr for bad input."""
     parser = host_parser(
-        "python -m adapters.host.guardian", "Starts an adapter host, watches it, and takes over from it."
+        "python -m adapters.host.guardian", "Start an adapter host, watch it, and take over when it fails."
     )
     parser.add_argument("--hung-ms", type=int, default=HUNG_MS, help="silence after which the host counts as hung")
     parser.add_argument("--parent", type=int, help="end, with the host, when this parent process ends")
@@ -211,18 +212,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if chosen.parent is not None:
             die_with_parent(chosen.parent)
         hurry(Urgency.GUARDIAN, children=False)
-        asyncio.run(_run(chosen, controllers, sink))
-    except BadInput as error:
+        asyncio.run(_run_guardian(chosen, controllers, sink))
+    except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
     return 0
 
 
-async def _run(chosen: argparse.Namespace, controllers: dict[str, Controller], sink: Sink) -> None:
+async def _run_guardian(chosen: argparse.Namespace, controllers: dict[str, Controller], sink: Sink) -> None:
     log = Log("guardian", chosen.host, LiveClock(), sink)
-    guardian = Guardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log)
+    guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log)
     for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, guardian.end)
+        asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)
     await guardian.run()
 
 

@@ -1,9 +1,9 @@
 """The process of an adapter host:
 `python -m adapters.host.host_process --fleet FILE --host NAME --connect … --state DIR`.
 
-Under a guardian it writes a byte to `--beat-fd` every 50 ms from its event loop, so that a hung loop stops beating.
-When nobody reads that pipe any more the guardian is dead, and nobody would take over from this process: it stops its
-controllers and ends. That is preferred to being killed with it, which would leave them moving.
+Under a guardian it writes a byte to `--beat-fd` every 50 ms from its event loop, so that a hung loop stops these
+heartbeats. When the other end of that pipe is closed, the guardian is dead and this process would have no successor: it
+stops its controllers and ends. Being killed together with the guardian would leave them moving.
 
 Prints `ready` when all its controllers are on the bus. Exit codes: 2 bad input, 3 no router.
 """
@@ -21,9 +21,9 @@ from typing import Any, NoReturn
 from uuid import uuid4
 
 from adapters.controller.store import FileStore
-from adapters.host.firing_process import ProcessFirer
-from adapters.host.host import AdapterHost, Surroundings, check_controller
-from adapters.link.open import open_link
+from adapters.host.firing_process import ProcessTimedWriter
+from adapters.host.host import AdapterHost, HostEnvironment, check_controller
+from adapters.link.open import make_link_opener
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log, Sink
 from orchestrator.bus.logfile import file_sink
@@ -35,20 +35,20 @@ from orchestrator.clock.realtime import Urgency, hurry
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Controller, Fleet
 
-BEAT_S = 0.05
-STOP_S = 1.0  # for the stop orders to leave when it ends
-CLOSE_S = 2.0  # for links and bus to be left in order
+HEARTBEAT_S = 0.05
+STOP_SEND_S = 1.0  # for the stops to be sent when the process ends
+CLOSE_TIMEOUT_S = 2.0  # for links and bus to be closed in order
 
 BAD_INPUT = 2
 NO_BUS = 3
 
 
-class BadInput(Exception):
-    """The arguments or the fleet file can not be used. Says why."""
+class InvalidInput(Exception):
+    """The arguments or the fleet file are invalid; the text states why."""
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """Says what is wrong in one line, and ends with code 2."""
+    """Report a usage error in one line, and exit with code 2."""
 
     def error(self, message: str) -> NoReturn:
         sys.stderr.write(f"{self.prog}: {message}\n")
@@ -56,54 +56,55 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def host_parser(program: str, description: str) -> argparse.ArgumentParser:
-    """The arguments that the guardian shares with its child."""
+    """Return a parser with the arguments that the guardian shares with its child."""
     parser = OneLineParser(prog=program, description=description)
     parser.add_argument("--fleet", type=Path, required=True, help="the fleet file")
-    parser.add_argument("--host", required=True, help="run the controllers whose `host` is this")
+    parser.add_argument("--host", required=True, help="run the controllers with this `host`")
     parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
-    parser.add_argument("--state", type=Path, required=True, help="directory for what must outlive the process")
-    parser.add_argument("--log", type=Path, help="append JSON lines here; without it to stderr")
+    parser.add_argument("--state", type=Path, required=True, help="directory for data that must outlive the process")
+    parser.add_argument("--log", type=Path, help="append JSON lines to this file; default: stderr")
     return parser
 
 
 def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
-    """The fleet, and those of its controllers that are the host's, checked with their makes. Raises `BadInput`."""
+    """Return the fleet, and those of its controllers that belong to the host, checked with their makes. Raises
+    `InvalidInput`."""
     try:
         fleet = load_fleet(path)
         mine = {name: config for name, config in fleet.controllers.items() if config.host == host}
         for name, config in mine.items():
             check_controller(name, config)
     except FileError as error:
-        raise BadInput(str(error)) from None
+        raise InvalidInput(str(error)) from None
     except ValueError as error:
-        raise BadInput(f"{path}: {error}") from None
+        raise InvalidInput(f"{path}: {error}") from None
     if not mine:
         hosts = ", ".join(sorted({config.host for config in fleet.controllers.values()}))
-        raise BadInput(f"{path}: no controller has `host: {host}`; the hosts there are: {hosts}")
+        raise InvalidInput(f"{path}: no controller has `host: {host}`; existing hosts: {hosts}")
     return fleet, mine
 
 
 def open_sink(path: Path | None) -> Sink:
-    """Where log lines go: the file, or stderr. Raises `BadInput`."""
+    """Open the destination of log lines: the file, or stderr. Raises `InvalidInput`."""
     try:
-        write = file_sink(path) if path is not None else _to_stderr
+        write = file_sink(path) if path is not None else _write_to_stderr
     except OSError as error:
-        raise BadInput(f"--log {path}: {error.strerror}") from None
+        raise InvalidInput(f"--log {path}: {error.strerror}") from None
 
-    def sink(line: str) -> None:
-        # A full disk or a closed terminal must not stop what drives machines.
+    def write_line(line: str) -> None:
+        # A full disk or a closed terminal must not stop the process that drives machines.
         with contextlib.suppress(OSError):
             write(line)
 
-    return sink
+    return write_line
 
 
-def _to_stderr(line: str) -> None:
+def _write_to_stderr(line: str) -> None:
     sys.stderr.write(line + "\n")
 
 
-class _Forward(logging.Handler):
-    """What libraries log goes to our own log."""
+class _LogForwarder(logging.Handler):
+    """Forward log records of libraries to the project's own log."""
 
     def __init__(self, log: Log) -> None:
         super().__init__(logging.WARNING)
@@ -113,37 +114,37 @@ class _Forward(logging.Handler):
         self._log.info(record.getMessage(), logger=record.name)
 
 
-class _Beat:
-    """Beats from the event loop until nobody listens; then calls `orphaned`."""
+class _HeartbeatWriter:
+    """Write heartbeats from the event loop until the pipe is closed; then set `orphaned`."""
 
     def __init__(self, fd: int, orphaned: asyncio.Event) -> None:
         self._fd = fd
         self._orphaned = orphaned
         os.set_inheritable(fd, False)
         os.set_blocking(fd, False)
-        self._beat()
+        self._write_heartbeat()
 
-    def _beat(self) -> None:
+    def _write_heartbeat(self) -> None:
         try:
             os.write(self._fd, b".")
         except BlockingIOError:
-            pass  # The guardian is behind with reading; there are beats enough in the pipe.
+            pass  # The guardian reads slowly; the pipe already holds enough heartbeats.
         except OSError:
             self._orphaned.set()
             return
-        asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+        asyncio.get_running_loop().call_later(HEARTBEAT_S, self._write_heartbeat)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until ended. Gives 0, or 2 (bad input) or 3 (no router) with one line on stderr."""
-    parser = host_parser("python -m adapters.host.host_process", "Drives the controllers of one host.")
+    """Run until ended. Return 0, or 2 (bad input) or 3 (no router) with one line on stderr."""
+    parser = host_parser("python -m adapters.host.host_process", "Drive the controllers of one host.")
     parser.add_argument("--beat-fd", type=int, help="pipe to the guardian, set by it")
     chosen = parser.parse_args(arguments)
     try:
         fleet, _ = load_host(chosen.fleet, chosen.host)
         hurry(Urgency.SERVICE)
-        asyncio.run(_run(chosen, fleet, open_sink(chosen.log)))
-    except BadInput as error:
+        asyncio.run(_run_host(chosen, fleet, open_sink(chosen.log)))
+    except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
     except RouterUnreachable as error:
@@ -152,22 +153,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
+async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
     loop, clock, ended, orphaned = asyncio.get_running_loop(), LiveClock(), asyncio.Event(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     log = Log("host", chosen.host, clock, sink)
-    loop.set_exception_handler(lambda _, context: _defect(log, context))
-    logging.getLogger().addHandler(_Forward(log))
+    loop.set_exception_handler(lambda _, context: _log_defect(log, context))
+    logging.getLogger().addHandler(_LogForwarder(log))
     bus = await open_bus(chosen.connect)
     try:
-        firer = ProcessFirer()
-        around = Surroundings(
+        firer = ProcessTimedWriter()
+        around = HostEnvironment(
             bus,
             Keys(fleet.fleet),
             clock,
             firer,
-            lambda _, config: open_link(config.reached_by, clock),
+            lambda _, config: make_link_opener(config.link_to_open, clock),
             lambda controller: FileStore(chosen.state / f"{controller}.json"),
             Threaded("memory"),
             sink,
@@ -176,28 +177,28 @@ async def _run(chosen: argparse.Namespace, fleet: Fleet, sink: Sink) -> None:
         try:
             host = AdapterHost(chosen.host, fleet, around)
             if chosen.beat_fd is not None:
-                _Beat(chosen.beat_fd, orphaned)
+                _HeartbeatWriter(chosen.beat_fd, orphaned)
             await host.start()
             begin_live()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
-            _say_ready()
-            await _first(ended, orphaned)
-            reason = "the guardian is gone" if orphaned.is_set() else "the adapter host is ended"
-            await _leave(host, log, reason)
+            _print_ready()
+            await _wait_for_any(ended, orphaned)
+            reason = "the guardian is gone" if orphaned.is_set() else "the adapter host has ended"
+            await _shut_down(host, log, reason)
         finally:
             firer.close()
     finally:
         await bus.close()
 
 
-def _say_ready() -> None:
-    """One line for those who have started it. A restarted one may find that nobody listens any more."""
+def _print_ready() -> None:
+    """Print one line for the parent process. After a restart nothing may read it any more."""
     with contextlib.suppress(OSError):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
 
 
-async def _first(*events: asyncio.Event) -> None:
+async def _wait_for_any(*events: asyncio.Event) -> None:
     """Wait for any of `events`."""
     waits = [asyncio.ensure_future(event.wait()) for event in events]
     await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
@@ -205,23 +206,24 @@ async def _first(*events: asyncio.Event) -> None:
         wait.cancel()
 
 
-async def _leave(host: AdapterHost, log: Log, reason: str) -> None:
-    """Stop everything, for nobody watches it any more, and leave links and bus."""
+async def _shut_down(host: AdapterHost, log: Log, reason: str) -> None:
+    """Stop everything, because this process no longer supervises it, and close links and bus."""
     log.info(reason)
     stops = await asyncio.gather(
-        *(asyncio.wait_for(unit.stop(False, reason), STOP_S) for unit in host.units.values()), return_exceptions=True
+        *(asyncio.wait_for(unit.stop(False, reason), STOP_SEND_S) for unit in host.supervisors.values()),
+        return_exceptions=True,
     )
-    for unit, outcome in zip(host.units.values(), stops, strict=True):
+    for unit, outcome in zip(host.supervisors.values(), stops, strict=True):
         if isinstance(outcome, Exception):
             log.info(f"not stopped: {outcome or type(outcome).__name__}", controller=unit.controller)
     try:
-        await asyncio.wait_for(host.close(), CLOSE_S)
+        await asyncio.wait_for(host.close(), CLOSE_TIMEOUT_S)
     except TimeoutError:
-        log.info(f"links and bus could not be left within {CLOSE_S:g} s")
+        log.info(f"links and bus could not be closed within {CLOSE_TIMEOUT_S:g} s")
 
 
-def _defect(log: Log, context: dict[str, Any]) -> None:
-    """A task or callback failed: that is a defect of this program, and the others go on."""
+def _log_defect(log: Log, context: dict[str, Any]) -> None:
+    """Log the failure of a task or callback: a defect of this program; the other tasks continue."""
     log.info(f"a defect: {context['message']}: {context.get('exception')!r}", level="error")
 
 

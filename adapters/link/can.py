@@ -1,7 +1,8 @@
-"""Links to CAN buses, over any interface that python-can knows.
+"""Links to CAN buses, over any interface that python-can supports.
 
-python-can is made of threads and blocking calls. It runs in a process of its own (`adapters.link.can_process`), so that
-neither it and the event loop hold each other up, nor the stamps suffer; a firing process writes its frames to that one.
+python-can uses threads and blocking calls. It runs in a process of its own (`adapters.link.can_process`), so that it
+and the event loop do not delay each other, and time stamps stay exact; a firing process writes its frames to that
+process.
 """
 
 import asyncio
@@ -20,32 +21,32 @@ OPEN_TIMEOUT_S = 10.0
 END_TIMEOUT_S = 2.0
 DATAGRAM = 65536
 
-# What the process says: the first byte of each of its datagrams.
+# Messages of the process: the first byte of each of its datagrams.
 READY, FRAMES, ERROR = b"R", b"F", b"E"
 STAMP_BYTES = 8
 
 
-class _CanPort(DescriptorLink):
-    """The end of the process's socket: whole frames out, and stamped ones in."""
+class _CanProcessLink(DescriptorLink):
+    """The parent's end of the process's socket: whole frames out, and stamped frames in."""
 
     def __init__(self, place: str, fd: int, release: Callable[[], None], clock: Clock) -> None:
         super().__init__(place, 0, fd, release, clock, datagrams=True)
         self.process: asyncio.subprocess.Process | None = None
 
-    def _readable(self) -> None:
+    def _handle_readable(self) -> None:
         try:
             data = os.read(self._fd, DATAGRAM)
         except BlockingIOError:
             return
         except OSError as error:
-            self._shut(f"{self._place}: {error.strerror}")
+            self._shut_down(f"{self._place}: {error.strerror}")
             return
         if data[:1] == FRAMES:
             at_ns = int.from_bytes(data[1 : 1 + STAMP_BYTES], "little")
             self._received.append(Received(data[1 + STAMP_BYTES :], at_ns))
-            self._wake()
+            self._wake_reader()
         else:
-            self._shut(f"{self._place}: {data[1:].decode() or 'the process of the CAN interface has died'}")
+            self._shut_down(f"{self._place}: {data[1:].decode() or 'the process of the CAN interface has died'}")
 
     async def close(self) -> None:
         await super().close()
@@ -60,7 +61,7 @@ class _CanPort(DescriptorLink):
 
 
 async def open_can(link: CanBusLink, clock: Clock) -> Link:
-    """A node of our own on the bus. Raises `LinkRefused`."""
+    """Open an interface as a node of its own on the bus. Raises `LinkRefused`."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.setblocking(False)
     command = (sys.executable, "-m", "adapters.link.can_process", str(theirs.fileno()))
@@ -83,14 +84,14 @@ async def open_can(link: CanBusLink, clock: Clock) -> Link:
         await process.wait()
         if isinstance(error, TimeoutError):
             raise LinkRefused(
-                f"{link.place}: the interface {link.interface} is not open after {OPEN_TIMEOUT_S:g} s; "
+                f"{link.endpoint}: the interface {link.interface} did not open within {OPEN_TIMEOUT_S:g} s; "
                 "check the CAN adapter and its driver"
             ) from None
         raise
     if said != READY:
         ours.close()
         await process.wait()
-        raise LinkRefused(f"{link.place}: {said[1:].decode() or 'the process of the CAN interface has died'}")
-    port = _CanPort(link.place, ours.fileno(), ours.close, clock)
+        raise LinkRefused(f"{link.endpoint}: {said[1:].decode() or 'the process of the CAN interface has died'}")
+    port = _CanProcessLink(link.endpoint, ours.fileno(), ours.close, clock)
     port.process = process
     return port

@@ -1,4 +1,4 @@
-"""What was on a CAN link as a log file that other tools read: Vector's ASC and BLF, candump's."""
+"""Export of the traffic of a CAN link as a log file for other tools: Vector's ASC and BLF, candump's log."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ _WRITERS = {"asc": can.ASCWriter, "blf": can.BLFWriter, "candump": can.CanutilsL
 
 
 def write_log(path: Path, form: LogFormat, entries: Sequence[Entry], origin_s: float) -> int:
-    """Write the frames of a link's trace to `path`; how many there were.
+    """Write the frames of a link's trace to `path`; return their number.
 
-    origin_s: Unix time of host time 0. Raises `ValueError` when the bytes are no frames, `OSError`.
+    origin_s: Unix time of host time 0. Raises `ValueError` when the bytes are not frames, `OSError`.
     """
     messages = [
-        _message(frame, at_ns / 1e9 + origin_s, direction == "in")
+        _make_message(frame, at_ns / 1e9 + origin_s, direction == "in")
         for at_ns, direction, data in entries
         for frame in decode(data)
     ]
@@ -29,7 +29,7 @@ def write_log(path: Path, form: LogFormat, entries: Sequence[Entry], origin_s: f
     return len(messages)
 
 
-def _message(frame: CanFrame, at_s: float, received: bool) -> can.Message:
+def _make_message(frame: CanFrame, at_s: float, received: bool) -> can.Message:
     return can.Message(
         timestamp=at_s,
         arbitration_id=frame.id,

@@ -1,4 +1,4 @@
-"""What a socket and a serial port have in common: a link over an open descriptor that never blocks."""
+"""The common part of sockets and serial ports: a link over an open descriptor that never blocks."""
 
 import asyncio
 import os
@@ -14,9 +14,9 @@ READ_BYTES = 65536
 class DescriptorLink:
     """A `Link` over `fd`, which must be in non-blocking mode. `release` closes it. Needs a running asyncio loop.
 
-    datagrams: an empty one is nothing, where an empty read of a stream is its end.
+    datagrams: an empty datagram is ignored, whereas an empty read of a stream is its end.
 
-    Bytes are taken as soon as the loop sees them, whether anybody waits or not, so that their stamps are true.
+    Bytes are read as soon as the loop sees them, whether or not a reader waits, so that their stamps are exact.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class DescriptorLink:
         self._received: deque[Received] = deque()
         self._waiting: asyncio.Future[None] | None = None
         self._closed_because: str | None = None
-        self._loop.add_reader(fd, self._readable)
+        self._loop.add_reader(fd, self._handle_readable)
 
     @property
     def place(self) -> str:
@@ -43,12 +43,12 @@ class DescriptorLink:
         return self._char_ns
 
     def fileno(self) -> int:
-        """The open descriptor. Raises `LinkClosed`: the number of a closed one may be somebody else's by now."""
+        """Return the open descriptor. Raises `LinkClosed`: the number of a closed descriptor may be in use again."""
         self._require_open()
         return self._fd
 
     def wrote(self, at_ns: int, data: bytes) -> None:
-        """A link keeps no record of itself; `TracedLink` does."""
+        """Do nothing: a link keeps no record of itself; `TracedLink` does."""
 
     def write(self, data: bytes) -> int:
         self._require_open()
@@ -58,15 +58,15 @@ class DescriptorLink:
         except BlockingIOError:
             taken = 0
         except OSError as error:
-            self._shut(f"{self._place}: {error.strerror}")
-            raise self._closed() from None
+            self._shut_down(f"{self._place}: {error.strerror}")
+            raise self._closed_error() from None
         if taken < len(data):
-            # Half a command may be on the wire: nothing sensible can follow it on this link.
-            self._shut(
-                f"{self._place}: only {taken} of {len(data)} bytes were taken, the operating system's buffer is full; "
-                "the controller does not read, or is held off by its handshake"
+            # Half a command may have been sent: nothing sensible can follow it on this link.
+            self._shut_down(
+                f"{self._place}: only {taken} of {len(data)} bytes were accepted, the operating system's "
+                "buffer is full; the controller does not read, or its handshake stops the transfer"
             )
-            raise self._closed()
+            raise self._closed_error()
         return at_ns
 
     async def read(self) -> Received:
@@ -80,40 +80,40 @@ class DescriptorLink:
         return self._received.popleft()
 
     async def close(self) -> None:
-        self._shut(f"{self._place} is closed")
+        self._shut_down(f"{self._place} is closed")
 
-    def _readable(self) -> None:
+    def _handle_readable(self) -> None:
         try:
             data = os.read(self._fd, READ_BYTES)
         except BlockingIOError:
             return
         except OSError as error:
-            self._shut(f"{self._place}: {error.strerror}")
+            self._shut_down(f"{self._place}: {error.strerror}")
             return
         at_ns = self._clock.now_ns()
         if not data and self._datagrams:
             return
         if not data:
-            self._shut(f"{self._place}: closed by the other side")
+            self._shut_down(f"{self._place}: closed by the other side")
             return
         self._received.append(Received(data, at_ns))
-        self._wake()
+        self._wake_reader()
 
-    def _shut(self, because: str) -> None:
+    def _shut_down(self, because: str) -> None:
         if self._closed_because is not None:
             return
         self._closed_because = because
         self._loop.remove_reader(self._fd)
         self._release()
-        self._wake()
+        self._wake_reader()
 
-    def _wake(self) -> None:
+    def _wake_reader(self) -> None:
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(None)
 
     def _require_open(self) -> None:
         if self._closed_because is not None:
-            raise self._closed()
+            raise self._closed_error()
 
-    def _closed(self) -> LinkClosed:
+    def _closed_error(self) -> LinkClosed:
         return LinkClosed(self._closed_because or self._place)

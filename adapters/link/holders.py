@@ -1,4 +1,4 @@
-"""Who has a device open, as far as this user may see it."""
+"""Processes that have a device open, as far as this user may see them."""
 
 import contextlib
 import os
@@ -6,19 +6,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 
-def holders(device: Path) -> list[str]:
-    """Processes that have the character device open, for people: `pid 1234 (minicom)`. Empty if none can be seen."""
+def find_holders(device: Path) -> list[str]:
+    """Return the processes that have the character device open, for display: `pid 1234 (minicom)`. Empty if none is
+    visible."""
     number = device.stat().st_rdev
-    return [_shown(process) for process in _processes() if _has_open(process, number)]
+    return [_describe_process(process) for process in _list_processes() if _has_open(process, number)]
 
 
-def _processes() -> Iterator[Path]:
+def _list_processes() -> Iterator[Path]:
     own = str(os.getpid())
     return (each for each in Path("/proc").iterdir() if each.name.isdecimal() and each.name != own)
 
 
 def _has_open(process: Path, number: int) -> bool:
-    # Processes of other users can not be looked into, and any may end meanwhile.
+    # Processes of other users are not readable, and any process may end meanwhile.
     with contextlib.suppress(OSError):
         for descriptor in (process / "fd").iterdir():
             with contextlib.suppress(OSError):
@@ -27,7 +28,7 @@ def _has_open(process: Path, number: int) -> bool:
     return False
 
 
-def _shown(process: Path) -> str:
+def _describe_process(process: Path) -> str:
     name = "?"
     with contextlib.suppress(OSError):
         name = (process / "comm").read_text(encoding="utf-8", errors="replace").strip()

@@ -1,4 +1,4 @@
-"""Stopping a controller over a link of its own, in place of a driver that is dead."""
+"""Stop of a controller over a separate link, in place of a dead driver."""
 
 import asyncio
 from dataclasses import dataclass
@@ -9,35 +9,35 @@ from orchestrator.link.base import LinkClosed, LinkRefused, OpenLink
 TRY_NS = 2 * NS_PER_S
 PAUSE_NS = 20 * NS_PER_MS
 
-# How long to listen after the last byte is out. Answers are read before the link is closed: a socket that is closed
-# with unread bytes resets the connection, and may take the stop with it.
+# How long to read after the last byte is sent. Replies are read before the link is closed: a socket that is closed with
+# unread bytes resets the connection, and may discard the stop.
 LISTEN_NS = 150 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
-    """The stop was written at host time `written_ns`, at the `tries`-th try; `answer` came within a moment."""
+class StopResult:
+    """The stop was written at host time `written_ns`, at try number `tries`; `answer` arrived shortly after."""
 
     written_ns: int
     tries: int
     answer: bytes
 
 
-async def last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> Stopped:
-    """Open a link, trying for `TRY_NS`, and write `data`. Raises `LinkRefused` or `LinkClosed`: the last reason."""
+async def send_last_stop(open_link: OpenLink, data: bytes, clock: Clock) -> StopResult:
+    """Open a link, retrying for `TRY_NS`, and write `data`. Raises `LinkRefused` or `LinkClosed`: the last reason."""
     give_up_ns = clock.now_ns() + TRY_NS
     tries = 0
     while True:
         tries += 1
         try:
-            return await _write(open_link, data, clock, tries)
+            return await _write_stop(open_link, data, clock, tries)
         except (LinkRefused, LinkClosed):
             if clock.now_ns() >= give_up_ns:
                 raise
         await sleep_ns(clock, PAUSE_NS)
 
 
-async def _write(open_link: OpenLink, data: bytes, clock: Clock, tries: int) -> Stopped:
+async def _write_stop(open_link: OpenLink, data: bytes, clock: Clock, tries: int) -> StopResult:
     link = await open_link()
     answer = b""
     try:
@@ -50,4 +50,4 @@ async def _write(open_link: OpenLink, data: bytes, clock: Clock, tries: int) -> 
             pass
     finally:
         await link.close()
-    return Stopped(written_ns, tries, answer)
+    return StopResult(written_ns, tries, answer)

@@ -1,4 +1,4 @@
-"""From a link of the fleet file to an open one."""
+"""Opening of a link of the fleet file."""
 
 from adapters.link.can import open_can
 from adapters.link.serial import open_serial
@@ -10,10 +10,10 @@ from orchestrator.model.fleet import CanBusLink, TcpLink, UdpLink
 from orchestrator.model.fleet import Link as LinkModel
 
 
-def open_link(model: LinkModel, clock: Clock) -> OpenLink:
-    """What opens a further link to the controller at `model`, each time it is called."""
+def make_link_opener(model: LinkModel, clock: Clock) -> OpenLink:
+    """Return a function that opens a further link to the controller at `model` with each call."""
 
-    async def opened() -> Link:
+    async def open_new_link() -> Link:
         if isinstance(model, TcpLink):
             return await open_tcp(model, clock)
         if isinstance(model, UdpLink):
@@ -22,4 +22,4 @@ def open_link(model: LinkModel, clock: Clock) -> OpenLink:
             return await open_can(model, clock)
         return open_serial(model, clock)
 
-    return opened
+    return open_new_link

@@ -9,7 +9,7 @@ from typing import Literal
 import serial
 
 from adapters.link.descriptor import DescriptorLink
-from adapters.link.holders import holders
+from adapters.link.holders import find_holders
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkRefused
 from orchestrator.model.fleet import SerialLink
@@ -18,12 +18,12 @@ _PARITY: dict[str, Literal["N", "E", "O"]] = {"none": "N", "even": "E", "odd": "
 
 
 def frame_bits(link: SerialLink) -> int:
-    """Bits of one character on the wire, with start, parity and stop bits."""
+    """Return the bits of one character in transmission, with start, parity and stop bits."""
     return 1 + link.data_bits + (link.parity != "none") + link.stop_bits
 
 
 def open_serial(link: SerialLink, clock: Clock) -> Link:
-    """Open the port for this process alone. Raises `LinkRefused`."""
+    """Open the port for exclusive use by this process. Raises `LinkRefused`."""
     char_ns = frame_bits(link) * NS_PER_S // link.baud
     device = Path(link.device)
     pseudo = device.resolve().is_relative_to("/dev/pts")
@@ -31,7 +31,7 @@ def open_serial(link: SerialLink, clock: Clock) -> Link:
         port = serial.Serial(
             link.device,
             link.baud,
-            # Pseudo-terminals have eight bits, neither parity nor lines to shake hands by, and refuse to be told so.
+            # Pseudo-terminals have eight bits, no parity and no handshake lines, and reject such settings.
             bytesize=8 if pseudo else link.data_bits,
             parity="N" if pseudo else _PARITY[link.parity],
             stopbits=1 if pseudo else link.stop_bits,
@@ -39,24 +39,24 @@ def open_serial(link: SerialLink, clock: Clock) -> Link:
             exclusive=True,
         )
     except (OSError, ValueError) as error:
-        raise LinkRefused(f"{link.place}: {_reason(link, device, error)}") from None
+        raise LinkRefused(f"{link.endpoint}: {_refusal_text(link, device, error)}") from None
     if not pseudo:
-        # USB adapters hold received bytes for up to 16 ms without it. Many drivers know no such mode.
+        # Without this mode, USB adapters buffer received bytes for up to 16 ms. Many drivers do not support it.
         with contextlib.suppress(OSError, ValueError):
             port.set_low_latency_mode(True)
     os.set_blocking(port.fileno(), False)
-    return DescriptorLink(link.place, char_ns, port.fileno(), port.close, clock)
+    return DescriptorLink(link.endpoint, char_ns, port.fileno(), port.close, clock)
 
 
-def _reason(link: SerialLink, device: Path, error: Exception) -> str:
-    """Why the port could not be opened, and what to do."""
+def _refusal_text(link: SerialLink, device: Path, error: Exception) -> str:
+    """Return why the port could not be opened, and what to do."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-        return "no such device; is its cable plugged in? The ports there are: `ls /dev/serial/by-id /dev/tty*`"
+        return "no such device; is its cable plugged in? List the existing ports: `ls /dev/serial/by-id /dev/tty*`"
     if number in (errno.EACCES, errno.EPERM):
         return "permission denied; add the user to the group that owns the port (usually dialout), then log in again"
     if number in (errno.EBUSY, errno.EAGAIN):
-        return f"in use by {', '.join(holders(device)) or 'a process of another user'}; end that one first"
+        return f"in use by {', '.join(find_holders(device)) or 'a process of another user'}; end that process first"
     if number == errno.EISDIR or not device.is_char_device():
-        return "is no serial port; correct `device` in the fleet file"
-    return f"can not be set to {link.baud} baud, {link.data_bits} bits, parity {link.parity}: {error}"
+        return "is not a serial port; correct `device` in the fleet file"
+    return f"cannot be set to {link.baud} baud, {link.data_bits} bits, parity {link.parity}: {error}"

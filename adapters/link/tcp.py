@@ -12,19 +12,19 @@ from orchestrator.model.fleet import TcpLink, UdpLink
 
 CONNECT_TIMEOUT_S = 2.0
 
-# What was sent and not acknowledged for so long means a dead wire; the kernel's own default is some 15 minutes.
+# Unacknowledged data for this long means a dead connection; the kernel's own default is some 15 minutes.
 UNACKNOWLEDGED_MS = 3000
 
-# Room for a whole program to be downloaded; a controller that takes less than this has stopped reading.
+# Room for the download of a whole program; a controller that accepts less than this has stopped reading.
 SEND_BUFFER_BYTES = 65536
 
 _REMEDY = {
-    errno.ECONNREFUSED: "connection refused; is the controller switched on, and is that its port?",
-    errno.ECONNRESET: "the controller hung up at once; all its handles may be taken",
+    errno.ECONNREFUSED: "connection refused; is the controller switched on, and is the port number right?",
+    errno.ECONNRESET: "the controller closed the connection at once; all its handles may be in use",
     errno.EHOSTUNREACH: "no such host on that network; check address, cable and power",
-    errno.ENETUNREACH: "this computer has no way to that network; check address and network settings",
-    errno.EACCES: "this computer's firewall forbids it; allow the connection",
-    errno.EPERM: "this computer's firewall forbids it; allow the connection",
+    errno.ENETUNREACH: "this computer has no route to that network; check address and network settings",
+    errno.EACCES: "this computer's firewall blocks it; allow the connection",
+    errno.EPERM: "this computer's firewall blocks it; allow the connection",
     errno.ETIMEDOUT: "no answer; check address, cable and power",
 }
 
@@ -42,26 +42,26 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
             await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
     except BaseException as error:
         connection.close()
-        why = reason(link, error)
+        why = connection_error_text(link, error)
         if why is None:
             raise
-        raise LinkRefused(f"{link.place}: {why}") from None
+        raise LinkRefused(f"{link.endpoint}: {why}") from None
 
-    def release() -> None:
-        # A firing process may hold a copy of the descriptor; shut down, that one writes no more either.
+    def close_socket() -> None:
+        # A firing process may have a copy of the descriptor; after a shutdown that copy writes no more either.
         with contextlib.suppress(OSError):
             connection.shutdown(socket.SHUT_RDWR)
         connection.close()
 
-    return DescriptorLink(link.place, 0, connection.fileno(), release, clock)
+    return DescriptorLink(link.endpoint, 0, connection.fileno(), close_socket, clock)
 
 
-def reason(link: TcpLink | UdpLink, error: BaseException) -> str | None:
-    """Why it could not be opened and what to do; None for an error that is not of the connection."""
+def connection_error_text(link: TcpLink | UdpLink, error: BaseException) -> str | None:
+    """Return why it could not be opened and what to do; None for an error that does not concern the connection."""
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer within {CONNECT_TIMEOUT_S:g} s; check address, cable and power"
     if isinstance(error, socket.gaierror | UnicodeError):
-        return f"the name {link.host} is not known; correct it, or give the address in numbers"
+        return f"the name {link.host} cannot be resolved; correct it, or give the numeric address"
     if isinstance(error, OSError):
         return _REMEDY.get(error.errno or 0, f"{error.strerror}; check address and network settings")
     return None

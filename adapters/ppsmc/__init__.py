@@ -1,6 +1,6 @@
 """The adapter of the pp-electronic SMC step-motor controller (also sold as Huber SMC 9000 and 9300)."""
 
 from adapters.contract import Make
-from adapters.ppsmc.make import PpSmc
+from adapters.ppsmc.make import PpSmcMake
 
-MAKE: Make = PpSmc()
+MAKE: Make = PpSmcMake()

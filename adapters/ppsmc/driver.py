@@ -2,257 +2,242 @@
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from adapters.contract import (
-    CannotDo,
-    Capabilities,
-    Driver,
-    DriverFault,
-    Identity,
+    ControllerIdentity,
+    ControllerReading,
+    DriverCapabilities,
+    DriverSetup,
     JogMove,
     Lowered,
-    Outcome,
-    Reading,
-    Setup,
-    Span,
 )
 from adapters.ppsmc import fleetaxes, startup
-from adapters.ppsmc.costs import costs, longest_stop_s
-from adapters.ppsmc.homing import home
-from adapters.ppsmc.jogging import Jogging
-from adapters.ppsmc.lowering import SmcLowered, lower
-from adapters.ppsmc.moves import Mover
-from adapters.ppsmc.options import Options
-from adapters.ppsmc.polling import Poller
+from adapters.ppsmc.costs import longest_stop_s, step_costs
+from adapters.ppsmc.homing import home_axes
+from adapters.ppsmc.jogging import PpSmcJogging
+from adapters.ppsmc.lowering import PpSmcLowered, lower_step
+from adapters.ppsmc.moves import PpSmcMover
+from adapters.ppsmc.options import PpSmcOptions
+from adapters.ppsmc.polling import PpSmcPoller
 from adapters.ppsmc.replies import ASK_OUTPUTS, ASK_STATUS
-from adapters.ppsmc.session import Session, refusal
-from adapters.ppsmc.stopper import Stopper
-from adapters.ppsmc.unitstate import UnitState
+from adapters.ppsmc.session import PpSmcSession, as_refusal
+from adapters.ppsmc.stopper import StopConnection
+from adapters.ppsmc.unitstate import PpSmcState
+from adapters.toolkit.connection import ConnectedDriver
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
-from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
 _STOP_RAMP_NS = 2 * NS_PER_S
 
 
-class PpSmcDriver(Driver):
-    """Drives one unit. Its exchanges take turns on one connection; a stop goes past them by another."""
+@dataclass(frozen=True, slots=True)
+class PpSmcConnection:
+    """Everything that exists only while the controller is connected."""
 
-    def __init__(self, setup: Setup, options: Options) -> None:
-        self._setup = setup
+    state: PpSmcState
+    mover: PpSmcMover
+    poller: PpSmcPoller
+    jogging: PpSmcJogging
+
+
+class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
+    """Drive one controller. Exchanges take turns on one connection; a stop bypasses them on another."""
+
+    def __init__(self, setup: DriverSetup, options: PpSmcOptions) -> None:
+        super().__init__(setup)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
         link = setup.config.link
         self._char_ns = 10 * NS_PER_S // link.baud if link.kind == "serial" else 0
-        self._stop_s = longest_stop_s(fleetaxes.bounds(axis) for axis in setup.config.axes.values())
-        self._unit: UnitState | None = None
-        self._mover: Mover | None = None
-        self._poller: Poller | None = None
-        self._jogging: Jogging | None = None
-        self._installed = max(fleetaxes.motors(setup.config).values())
+        self._stop_s = longest_stop_s(fleetaxes.axis_bounds(axis) for axis in setup.config.axes.values())
+        self._installed = max(fleetaxes.axis_numbers(setup.config).values())
         self._enabled: set[str] = set(setup.config.axes)
-        # Known beyond a connection: the token that the unit held last.
+        # Outlives a connection: the last token of the controller.
         self._token = 0
         self._restarted = False
-        # So is the crystal.
+        # Outlives a connection as well: the crystal.
         self._crystal = options.unread_clock()
 
-    # Meeting the unit
+    # Connection
 
-    async def connect(self) -> Identity:
+    async def connect(self) -> ControllerIdentity:
         options, slow_ns = self._options, self._options.decode_ns[1]
         await self.close()
-        session = Session(
+        session = PpSmcSession(
             await self._setup.open_link(),
             self._clock,
             options.answer_ms * NS_PER_MS,
             slow_ns,
             self._token,
         )
-        stopper = Stopper(self._setup.open_link, self._config.link.kind == "tcp")
-        unit = self._unit = UnitState(session, stopper, self._config, slow_ns, enabled=self._enabled)
+        stopper = StopConnection(self._setup.open_link, self._config.link.kind == "tcp")
+        unit = PpSmcState(session, stopper, self._config, slow_ns, enabled=self._enabled)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _STOP_RAMP_NS
-        self._mover = Mover(options, self._clock, self._setup.firer, unit, self._crystal, settle_ns)
-        self._poller = Poller(self._config, options, unit)
-        self._jogging = Jogging(self._config, self._clock, unit, self._mover)
-        await stopper.open()
-        identity = await startup.identify(unit)
+        mover = PpSmcMover(options, self._clock, self._setup.timed_writer, unit, self._crystal, settle_ns)
+        self._connection = PpSmcConnection(
+            state=unit,
+            mover=mover,
+            poller=PpSmcPoller(self._config, options, unit),
+            jogging=PpSmcJogging(self._config, self._clock, unit, mover),
+        )
+        await stopper.open_connection()
+        identity = await startup.identify_controller(unit)
         await startup.wait_idle(unit, self._clock, options)
-        # Said by the first poll: whoever reaches a unit again must hear that it was off meanwhile.
-        self._take_note(session)
+        # Reported by the first poll: a reconnecting adapter must learn that the controller was off meanwhile.
+        self._save_token(session)
         self._installed = max(self._installed, unit.installed)
         return identity
 
     async def configure(self) -> None:
-        """A blocked unit answers nothing that could be compared: that is done as soon as it is released."""
-        unit = self._connected()
+        """Compare and load the settings. A blocked controller answers no such query: this is done as soon as it is
+        unblocked."""
+        unit = self.connection.state
         if not unit.session.blocked:
             async with unit.loading:
-                await startup.introduce(unit, self._options)
+                await startup.compare_and_load(unit, self._options)
 
     @property
-    def capabilities(self) -> Capabilities:
-        return Capabilities(
+    def capabilities(self) -> DriverCapabilities:
+        return DriverCapabilities(
             start_classes=("host", "line") if self._options.io_port else ("host",),
             orders=(2,),
             independent_axes=False,
-            costs=costs(self._options, self._char_ns, self._installed, self._stop_s),
+            costs=step_costs(self._options, self._char_ns, self._installed, self._stop_s),
         )
 
-    async def poll(self) -> Reading:
-        unit = self._connected()
-        assert self._poller is not None
-        reading = await self._poller.poll()
-        self._token = unit.session.token
+    async def poll(self) -> ControllerReading:
+        unit, poller = self.connection.state, self.connection.poller
+        reading = await poller.poll_state()
+        self._token = unit.session.last_token
         resting = not any(axis.moving for axis in reading.axes.values())
         if not unit.introduced and resting and not unit.session.blocked:
             await self.configure()
         elif unit.untidy and resting and not unit.session.blocked:
-            await self._moving().tidy()
-        await unit.stopper.open()
+            await self.connection.mover.clear_targets()
+        await unit.stopper.open_connection()
         restarted, self._restarted = self._restarted, False
         return replace(reading, restarted=restarted)
 
-    # A step
+    # Steps
 
-    def crystal(self) -> CrystalRate:
+    def crystal_rate(self) -> CrystalRate:
         return self._crystal.rate
 
-    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
+    def lower_profiles(
+        self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
+    ) -> PpSmcLowered:
         known = self._crystal.known(self._clock.now_ns())
-        return lower(self._config, self._options, self._char_ns, self._installed, known, profiles, how)
+        return lower_step(self._config, self._options, self._char_ns, self._installed, known, profiles, start)
 
-    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, SmcLowered)
-        return await self._moving().arm(lowered, t0_ns)
-
-    async def verify(self) -> None:
-        await self._moving().verify()
-
-    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
-        await self._moving().go(slack_ns, sooner_ns)
-
-    async def disarm(self) -> None:
-        await self._moving().disarm()
-
-    async def started(self) -> Mapping[str, Span]:
-        return await self._moving().started()
-
-    async def outcome(self) -> Outcome:
-        return await self._moving().outcome()
+    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, PpSmcLowered)
+        return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def stop(self, abort: bool) -> None:
-        """`q` ends all motions and programs by the ramp (L2542), the fastest stop that the unit has. An abort also
-        blocks it, so that nothing that others have sent goes on (L1400), until `clear_faults`."""
-        unit, mover = self._connected(), self._moving()
-        unit.count_stop(range(1, self._installed + 1))
-        outputs = mover.after_stop()
+        """Stop with `q`, which ends all motions and programs by the ramp (L2542), the fastest stop of this controller.
+        An abort also blocks the controller, so that no other client's command continues (L1400), until
+        `clear_faults`."""
+        unit, mover = self.connection.state, self.connection.mover
+        unit.record_stop(range(1, self._installed + 1))
+        outputs = mover.commands_after_stop()
         lines = [*outputs, "q", *(["block"] if abort else [])]
-        mover.interrupted(unit.write_stop(*lines))
+        mover.record_stop(unit.write_stop(*lines))
         if abort:
-            unit.session.block_sent()
+            unit.session.handle_block()
 
-    # By hand
+    # Manual operation
 
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        """The unit can not switch a motor off: a disabled axis is one that is not moved here."""
-        unit = self._connected()
-        await unit.session.ask(ASK_STATUS)
+    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+        """Enable or disable axes in the adapter. The controller cannot switch a motor off: the adapter does not move a
+        disabled axis."""
+        unit = self.connection.state
+        await unit.session.send_queries(ASK_STATUS)
         self._enabled.update(axes) if on else self._enabled.difference_update(axes)
 
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        if self._moving().move is not None:
-            raise CannotDo("busy", "a move is loaded or under way", "disarm or stop it")
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        if self.connection.mover.move is not None:
+            raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
         try:
-            return await home(self._config, self._clock, self._connected(), axes, found)
-        except DriverFault as error:
-            if error.fault.code == "blocked":
-                raise refusal(error) from None
+            return await home_axes(self._config, self._clock, self.connection.state, axes, found)
+        except ControllerFault as error:
+            if error.code == "blocked":
+                raise as_refusal(error) from None
             raise
 
-    async def jog(self, axis: str, move: JogMove) -> None:
-        self._connected()
-        assert self._jogging is not None
-        await self._jogging.jog(axis, move)
+    async def jog_axis(self, axis: str, move: JogMove) -> None:
+        await self.connection.jogging.start_jog(axis, move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        unit = self._connected()
-        motors = [fleetaxes.motor(self._config.axes[name]) for name in axes]
-        unit.count_stop(motors)
+        unit = self.connection.state
+        motors = [fleetaxes.axis_number(self._config.axes[name]) for name in axes]
+        unit.record_stop(motors)
         if motors:
-            unit.brake(motors)
+            unit.brake_axes(motors)
 
     async def set_output(self, number: int, on: bool) -> None:
-        unit = self._connected()
+        unit = self.connection.state
         if not self._options.io_port:
-            await unit.session.ask(ASK_STATUS)
-            raise CannotDo(
+            await unit.session.send_queries(ASK_STATUS)
+            raise Refusal(
                 "no-output", f"there is no output {number}: the unit has no i/o port", "see `options.io_port`"
             )
         if unit.driving:
-            raise CannotDo("busy", "a step drives an output, and all are written together", "wait for its end")
-        async with self._output_turn:
-            now, bit = int((await unit.session.ask(ASK_OUTPUTS)).text(ASK_OUTPUTS)), 1 << number
+            raise Refusal(
+                "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
+            )
+        async with self._output_lock:
+            now, bit = int((await unit.session.send_queries(ASK_OUTPUTS)).first_text(ASK_OUTPUTS)), 1 << number
             value = now | bit if on else now & ~bit
-            heard = await unit.session.settle((f"dout{value}",), ASK_OUTPUTS)
-        if int(heard.text(ASK_OUTPUTS)) != value:
-            raise CannotDo("not-switched", f"the outputs are {heard.text(ASK_OUTPUTS)} after dout{value}", "")
+            heard = await unit.session.send_repeatable((f"dout{value}",), ASK_OUTPUTS)
+        if int(heard.first_text(ASK_OUTPUTS)) != value:
+            raise Refusal("not-switched", f"the outputs are {heard.first_text(ASK_OUTPUTS)} after dout{value}", "")
 
     async def clear_faults(self) -> None:
-        """Release a blocked unit, and clear errors (L1630). Raises `CannotDo` while an axis moves."""
-        unit = self._connected()
-        # Whatever the last poll has seen: a block may be on its way.
-        await unit.session.release()
-        look = await unit.look()
-        if look.blocked:
-            raise CannotDo("blocked", "the controller is still blocked after `unblock`", "look at its screen")
-        if not look.idle:
-            raise CannotDo("moving", "errors can not be cleared while an axis moves", "wait, or stop it")
-        await unit.session.settle(("cerr",), ASK_STATUS)
+        """Unblock the controller, and clear errors (L1630). Raises `Refusal` while an axis moves."""
+        unit = self.connection.state
+        # Regardless of the last poll: a block may be under way.
+        await unit.session.unblock_controller()
+        look = await unit.read_state()
+        if look.is_blocked:
+            raise Refusal("blocked", "the controller is still blocked after `unblock`", "see its screen")
+        if not look.is_idle:
+            raise Refusal("moving", "errors cannot be cleared while an axis moves", "wait for its end, or stop it")
+        await unit.session.send_repeatable(("cerr",), ASK_STATUS)
         if not unit.introduced:
             await self.configure()
 
-    async def raw(self, command: str) -> str:
-        unit = self._connected()
+    async def send_raw(self, command: str) -> str:
+        unit = self.connection.state
         if not command.isascii() or not command.isprintable():
-            raise CannotDo("raw-line", "a raw command is one line of printable ASCII", "send one line")
-        reply = await unit.session.converse(command)
+            raise Refusal("raw-line", "a raw command is one line of printable ASCII", "send one line")
+        reply = await unit.session.send_raw(command)
         unit.profiles.clear()
         return reply
 
     async def close(self) -> None:
-        unit, self._unit = self._unit, None
-        if unit is not None:
-            self._token = unit.session.token
-            self._take_note(unit.session)
-            if self._mover is not None:
-                self._mover.forget()
-            await unit.stopper.close()
-            await unit.session.close()
+        ended, self._connection = self._connection, None
+        if ended is not None:
+            session = ended.state.session
+            self._token = session.last_token
+            self._save_token(session)
+            ended.mover.drop_move()
+            await ended.state.stopper.close()
+            await session.close()
 
-    # Inside
+    # Internals
 
     @property
-    def _output_turn(self) -> asyncio.Lock:
-        return self._connected().output_turn
+    def _output_lock(self) -> asyncio.Lock:
+        return self.connection.state.output_lock
 
-    def _take_note(self, session: Session) -> None:
+    def _save_token(self, session: PpSmcSession) -> None:
         if session.restarted:
             self._restarted, session.restarted = True, False
             self._crystal.forget()
-
-    def _connected(self) -> UnitState:
-        if self._unit is None:
-            raise LinkClosed(f"{self._setup.controller} is not connected")
-        return self._unit
-
-    def _moving(self) -> Mover:
-        self._connected()
-        assert self._mover is not None
-        return self._mover

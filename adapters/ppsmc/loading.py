@@ -1,11 +1,10 @@
-"""Putting a step's part into the unit, without moving, and reading it back."""
+"""Loading of a step's part into the controller, without moving, and its verification."""
 
 from fractions import Fraction
 
-from adapters.contract import CannotDo
 from adapters.ppsmc import fleetaxes
-from adapters.ppsmc.lowering import AxisMove, SmcLowered
-from adapters.ppsmc.options import Options
+from adapters.ppsmc.lowering import PpSmcAxisMove, PpSmcLowered
+from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import (
     ASK_INPUTS,
     ASK_OUTPUTS,
@@ -14,20 +13,21 @@ from adapters.ppsmc.replies import (
     ASK_SETTINGS,
     ASK_STATUS,
     ASK_TARGETS,
-    Bits,
-    Query,
-    entries,
-    number_in,
-    settings,
+    FormattedQuery,
+    StatusBits,
+    leading_number,
+    parse_entries,
+    parse_settings,
 )
-from adapters.ppsmc.session import Heard, Line
-from adapters.ppsmc.unitstate import Look, UnitState
+from adapters.ppsmc.session import PpSmcLine, TokenReply
+from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
+from orchestrator.model.errors import Refusal
 
 PROFILE = ("frun", "ffast", "acc", "dec")
 
 
-def checks(lowered: SmcLowered) -> list[Query]:
-    """What is asked before loading, and before the promise."""
+def check_queries(lowered: PpSmcLowered) -> list[FormattedQuery]:
+    """Return the queries before loading, and before the commit."""
     queries = [ASK_STATUS, ASK_POSITIONS]
     if lowered.wait is not None:
         queries.append(ASK_INPUTS)
@@ -36,143 +36,148 @@ def checks(lowered: SmcLowered) -> list[Query]:
     return queries
 
 
-def require_rest(unit: UnitState, lowered: SmcLowered, heard: Heard) -> Look:
-    """Idle, where the plan starts, free to go, and the waited line passive. Raises `CannotDo`."""
-    look = unit.looked(heard.one(ASK_STATUS), heard.one(ASK_POSITIONS), heard.written_ns)
-    if look.blocked:
-        raise CannotDo("blocked", "the controller is blocked", "release it with `tutti reset`")
-    if lowered.moves and look.program:
-        raise CannotDo("busy", "a program runs in the controller", "wait for its end, or stop it")
+def require_rest(unit: PpSmcState, lowered: PpSmcLowered, heard: TokenReply) -> PpSmcReading:
+    """Check that the controller is idle at the start of the plan, free to move, and the awaited trigger line passive.
+    Raises `Refusal`."""
+    look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+    if look.is_blocked:
+        raise Refusal("blocked", "the controller is blocked", "unblock it with `tutti reset`")
+    if lowered.moves and look.program_runs:
+        raise Refusal("busy", "a program runs in the controller", "wait for its end, or stop it")
     for each in lowered.moves:
         bits, counts = look.bits[each.motor], look.counts[each.motor]
-        if not bits & Bits.READY:
-            raise CannotDo("moving", f"axis {each.name} is moving", "wait, or stop it")
+        if not bits & StatusBits.READY:
+            raise Refusal("moving", f"axis {each.name} is moving", "wait for its end, or stop it")
         if counts != each.start_counts:
-            raise CannotDo(
+            raise Refusal(
                 "other-start",
-                f"axis {each.name} stands at {counts} counts; the plan starts at {each.start_counts}",
-                "plan again from where it stands",
+                f"axis {each.name} is at {counts} counts; the plan starts at {each.start_counts}",
+                "plan again from the present position",
             )
-        toward = Bits.LIMIT_FORWARD if each.distance > 0 else Bits.LIMIT_REVERSE
+        toward = StatusBits.LIMIT_FORWARD if each.distance > 0 else StatusBits.LIMIT_REVERSE
         if bits & toward:
-            raise CannotDo(
-                "limit", f"axis {each.name} is on the limit switch that it would move towards", "move it the other way"
+            raise Refusal(
+                "limit",
+                f"axis {each.name} is on the limit switch that it would move towards",
+                "move it in the other direction",
             )
-    if lowered.moves and not look.idle:
-        raise CannotDo("moving", "another axis of the controller moves, or it counts", "wait, or stop it")
-    if lowered.wait is not None and lowered.wait.is_active(int(heard.text(ASK_INPUTS))):
-        raise CannotDo(
+    if lowered.moves and not look.is_idle:
+        raise Refusal("moving", "another axis of the controller moves, or it counts", "wait for its end, or stop it")
+    if lowered.wait is not None and lowered.wait.is_active(int(heard.first_text(ASK_INPUTS))):
+        raise Refusal(
             "line-level",
-            f"input {lowered.wait.name} (bit {lowered.wait.bit}) is active already",
-            "make it passive first, and look at `active` in the fleet file",
+            f"input {lowered.wait.name} (bit {lowered.wait.bit}) is already active",
+            "make it passive first, and check `active` in the fleet file",
         )
     return look
 
 
-def profile_lines(moves: tuple[AxisMove, ...]) -> list[str]:
-    """Speeds and ramps. `ffast` last but for the ramps: it is never below `frun` on the way."""
+def profile_lines(moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
+    """Return the commands for speeds and ramps. `ffast` precedes only the ramps: it is never below `frun` meanwhile."""
     return [
         f"{name}{each.motor}:{value}"
         for each in moves
         if each.shape is not None
-        for name, value in zip(PROFILE, shape_of(each), strict=True)
+        for name, value in zip(PROFILE, profile_values(each), strict=True)
     ]
 
 
-def shape_of(move: AxisMove) -> tuple[int, int, int, int]:
-    """Values in the order of `PROFILE`."""
+def profile_values(move: PpSmcAxisMove) -> tuple[int, int, int, int]:
+    """Return the values in the order of `PROFILE`."""
     assert move.shape is not None
     return move.shape.s, move.shape.f, move.shape.a, move.shape.d
 
 
-def target_lines(unit: UnitState, moves: tuple[AxisMove, ...]) -> list[str]:
-    """Absolute targets: given twice, they move nothing twice."""
-    written = fleetaxes.written
+def target_lines(unit: PpSmcState, moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
+    """Return the commands for absolute targets: if they are sent twice, they do not move twice."""
+    written = fleetaxes.format_position
     return ["tbc", *(f"tbs{each.motor}:a{written(each.end_counts, unit.gears[each.motor])}" for each in moves)]
 
 
-def program_lines(unit: UnitState, lowered: SmcLowered) -> list[str]:
-    """One program line: its input or output first, then all axes together (L3216-L3222)."""
-    first = lowered.wait.command if lowered.wait is not None else ""
+def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
+    """Return one program line: its input or output first, then all axes together (L3216-L3222)."""
+    first = lowered.wait.program_text if lowered.wait is not None else ""
     if not first and lowered.drive is not None:
-        first = lowered.drive.command
+        first = lowered.drive.program_text
     moving: list[str] = []
     for each in lowered.moves:
-        s, f, a, d = shape_of(each)
-        moving.append(f"{each.motor}:a{fleetaxes.written(each.end_counts, unit.gears[each.motor])}s{s}r{f}a{a}d{d}")
+        s, f, a, d = profile_values(each)
+        moving.append(
+            f"{each.motor}:a{fleetaxes.format_position(each.end_counts, unit.gears[each.motor])}s{s}r{f}a{a}d{d}"
+        )
     return [first, *moving, "nl", "end"]
 
 
-async def load_targets(unit: UnitState, options: Options, lowered: SmcLowered) -> None:
-    """Speeds and the target buffer. Raises `CannotDo` when the unit does not hold them."""
+async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLowered) -> None:
+    """Load speeds and the target buffer. Raises `Refusal` when the controller does not store them."""
     commands = [*profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
-    heard = await unit.session.settle(commands, *queries)
+    heard = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:
-        held = settings(heard.lines(ASK_SETTINGS))
+        held = parse_settings(heard.reply_texts(ASK_SETTINGS))
         for each in lowered.moves:
-            require_profile(each.name, each.motor, shape_of(each), held)
+            require_profile(each.name, each.motor, profile_values(each), held)
     for each in lowered.moves:
-        unit.profiles[each.motor] = shape_of(each)
-    require_targets(unit, lowered, heard.one(ASK_TARGETS))
+        unit.profiles[each.motor] = profile_values(each)
+    require_targets(unit, lowered, heard.first_line(ASK_TARGETS))
 
 
 def require_profile(name: str, motor: int, wanted: tuple[int, int, int, int], held: dict[int, dict[str, str]]) -> None:
-    """Raises `CannotDo` when ?conf does not show the speeds that were given."""
+    """Raise `Refusal` when ?conf does not show the speeds that were set."""
     for item, value in zip(PROFILE, wanted, strict=True):
         found = held.get(motor, {}).get(item)
         if found is None or not _is_number(found, value):
-            raise CannotDo(
+            raise Refusal(
                 "not-loaded",
                 f"axis {name}: {item}{motor} is {found} instead of {value}",
-                "arm again; is the speed beyond the unit's own limit (fmax)?",
+                "arm it again; does the speed exceed the controller's own limit (fmax)?",
             )
 
 
 def _is_number(text: str, value: int) -> bool:
-    number = number_in(text)
+    number = leading_number(text)
     return number is not None and Fraction(number) == value
 
 
-def require_targets(unit: UnitState, lowered: SmcLowered, line: Line) -> None:
-    """Raises `CannotDo` unless the target buffer holds the step's targets and no others."""
-    held = {motor: text for motor, text in entries(line.text).items() if _is_target(text)}
+def require_targets(unit: PpSmcState, lowered: PpSmcLowered, line: PpSmcLine) -> None:
+    """Raise `Refusal` unless the target buffer contains exactly the step's targets."""
+    held = {motor: text for motor, text in parse_entries(line.text).items() if _is_target(text)}
     for each in lowered.moves:
         text = held.pop(each.motor, "")
-        number = number_in(text[1:]) if text[:1].lower() == "a" else None
-        found = None if number is None else fleetaxes.steps(number, unit.gears[each.motor])
+        number = leading_number(text[1:]) if text[:1].lower() == "a" else None
+        found = None if number is None else fleetaxes.parse_steps(number, unit.gears[each.motor])
         if found != each.end_counts:
-            raise CannotDo(
+            raise Refusal(
                 "not-loaded",
-                f"axis {each.name}: the target buffer holds {text or 'nothing'} instead of step {each.end_counts}",
-                "arm again; was the unit switched off, or does another program use the target buffer?",
+                f"axis {each.name}: the target buffer contains {text or 'nothing'} instead of step {each.end_counts}",
+                "arm it again; was the controller switched off, or does another program use the target buffer?",
             )
     if held:
-        raise CannotDo(
+        raise Refusal(
             "other-targets",
-            f"the target buffer holds targets of other axes: {', '.join(f'{m}:{t}' for m, t in held.items())}",
-            "see that no other program uses the unit; arm again",
+            f"the target buffer contains targets of other axes: {', '.join(f'{m}:{t}' for m, t in held.items())}",
+            "ensure that no other program uses the controller; arm it again",
         )
 
 
 def _is_target(text: str) -> bool:
-    """Whether an entry of ?tb is a target: `r0` is what tbc leaves (L2957); an absolute 0 is one."""
-    number = number_in(text[1:] if text[:1].lower() in ("a", "r") else text)
+    """Return whether an entry of ?tb is a target: `r0` is the state after tbc (L2957); an absolute 0 is a target."""
+    number = leading_number(text[1:] if text[:1].lower() in ("a", "r") else text)
     return text[:1].lower() == "a" or (number is not None and Fraction(number) != 0)
 
 
-async def load_program(unit: UnitState, lowered: SmcLowered) -> None:
-    """The program in place of the one in memory. Raises `CannotDo` when the unit does not hold it."""
+async def load_program(unit: PpSmcState, lowered: PpSmcLowered) -> None:
+    """Load the program in place of the one in memory. Raises `Refusal` when the controller does not store it."""
     lines = program_lines(unit, lowered)
-    heard = await unit.session.settle(["clr", *lines], ASK_PROGRAM)
-    require_program(lines, heard.lines(ASK_PROGRAM))
+    heard = await unit.session.send_repeatable(["clr", *lines], ASK_PROGRAM)
+    require_program(lines, heard.reply_texts(ASK_PROGRAM))
 
 
 def require_program(lines: list[str], found: list[str]) -> None:
-    """Raises `CannotDo` when ?pgm does not list `lines`."""
+    """Raise `Refusal` when ?pgm does not list `lines`."""
     if [line.rstrip("; ") for line in found] != lines:
-        raise CannotDo(
+        raise Refusal(
             "not-loaded",
-            f"the program memory holds {'; '.join(found)[:200] or 'nothing'} instead of {'; '.join(lines)}",
-            "arm again; is the i/o port option installed?",
+            f"the program memory contains {'; '.join(found)[:200] or 'nothing'} instead of {'; '.join(lines)}",
+            "arm it again; is the i/o port option installed?",
         )

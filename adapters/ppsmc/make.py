@@ -1,19 +1,19 @@
-"""The make: what the entry point names."""
+"""The make for the entry point."""
 
 from pydantic import BaseModel
 
-from adapters.contract import Setup
+from adapters.contract import DriverSetup
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.driver import PpSmcDriver
-from adapters.ppsmc.options import Options
+from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.session import EOL, SPOILER
 from orchestrator.model.fleet import Controller
 
 
-class PpSmc:
+class PpSmcMake:
     """pp-electronic SMC, over TCP or a serial port. Counts are motor steps.
 
-    The unit can not switch motors off: a disabled axis is one that the adapter does not move.
+    The controller cannot switch motors off: the adapter does not move a disabled axis.
     """
 
     @property
@@ -21,18 +21,19 @@ class PpSmc:
         return "ppsmc"
 
     @property
-    def options(self) -> type[BaseModel]:
-        return Options
+    def options_model(self) -> type[BaseModel]:
+        return PpSmcOptions
 
-    def check(self, config: Controller) -> None:
-        fleetaxes.check(config, Options.model_validate(config.options))
+    def check_config(self, config: Controller) -> None:
+        fleetaxes.check_fleet(config, PpSmcOptions.model_validate(config.options))
 
-    def driver(self, setup: Setup) -> PpSmcDriver:
+    def create_driver(self, setup: DriverSetup) -> PpSmcDriver:
         options = setup.options
-        assert isinstance(options, Options)
+        assert isinstance(options, PpSmcOptions)
         return PpSmcDriver(setup, options)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """`q` for all axes, never blocked by what others have asked (L2542). Twice: noise may spoil the first."""
+        """Return `q` for all axes, which no other client's commands can block (L2542). Twice: noise may spoil the
+        first."""
         half_typed = SPOILER if config.link.kind == "serial" else ""
         return "".join(f"{line}{EOL}" for line in (half_typed, "q", "q")).encode()

@@ -2,90 +2,91 @@
 
 import asyncio
 
-from adapters.contract import CannotDo, DriverFault, FireOrder
-from adapters.ppsmc.lines import Drive
+from adapters.contract import TimedWrite
+from adapters.ppsmc.lines import PortOutput
 from adapters.ppsmc.replies import ASK_OUTPUTS
-from adapters.ppsmc.unitstate import UnitState
+from adapters.ppsmc.unitstate import PpSmcState
 from orchestrator.clock.base import Clock, sleep_until_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 
 
-class DrivenOutput:
-    """One output in one step. From `follow` on it takes care of itself: it is passive again after its time."""
+class PpSmcOutput:
+    """One output in one step. From `follow_write` on it runs by itself: it is passive again after its time."""
 
-    def __init__(self, unit: UnitState, clock: Clock, drive: Drive) -> None:
+    def __init__(self, unit: PpSmcState, clock: Clock, drive: PortOutput) -> None:
         self._unit = unit
         self._clock = clock
         self._drive = drive
         self._outputs = 0
-        self._order: FireOrder | None = None
+        self._order: TimedWrite | None = None
         self._after: asyncio.Task[None] | None = None
         self._failed = ""
 
-    def check(self, outputs: int) -> None:
-        """Take note of all outputs; raises `CannotDo`, code `line-level`, when this one is active already."""
+    def check_passive(self, outputs: int) -> None:
+        """Record the state of all outputs; raise `Refusal`, code `line-level`, when this one is already active."""
         self._outputs = outputs
         if self._drive.is_active(outputs):
-            raise CannotDo(
+            raise Refusal(
                 "line-level",
-                f"output {self._drive.name} (bit {self._drive.bit}) is active already",
-                "make it passive first, and look at `active` in the fleet file",
+                f"output {self._drive.name} (bit {self._drive.bit}) is already active",
+                "make it passive first, and check `active` in the fleet file",
             )
 
     @property
-    def on(self) -> str:
-        """The line that makes it active (L1796)."""
-        return f"dout{self._drive.byte(self._outputs, True)}"
+    def on_command(self) -> str:
+        """Return the command that makes it active (L1796)."""
+        return f"dout{self._drive.outputs_with(self._outputs, True)}"
 
     @property
-    def off(self) -> str:
-        """The line that makes it passive."""
-        return f"dout{self._drive.byte(self._outputs, False)}"
+    def off_command(self) -> str:
+        """Return the command that makes it passive."""
+        return f"dout{self._drive.outputs_with(self._outputs, False)}"
 
-    def follow(self, order: FireOrder, until_ns: int) -> None:
-        """`order` will switch it; make it passive at `until_ns`."""
+    def follow_write(self, order: TimedWrite, until_ns: int) -> None:
+        """Follow the timed write of the switching command `order`; make the output passive at `until_ns`."""
         self._order = order
         self._unit.driving = True
-        self._after = asyncio.get_running_loop().create_task(self._release(until_ns))
+        self._after = asyncio.get_running_loop().create_task(self._make_passive_at(until_ns))
 
     def require_switched(self, outputs: int) -> None:
-        """Raises `DriverFault` when it was not switched."""
+        """Raise `ControllerFault` when it was not switched."""
         if not self._drive.is_active(outputs):
-            raise DriverFault(
+            raise ControllerFault(
                 "line-not-driven",
                 f"output {self._drive.name} (bit {self._drive.bit}) is not active after it was switched",
                 "is the i/o port option installed, and does another program write to it?",
             )
 
-    async def passive(self) -> str:
-        """Wait until it is passive again, or `forget`; what is wrong with it, or "" when all is well."""
+    async def wait_until_passive(self) -> str:
+        """Wait until it is passive again, or dropped; return its failure, or ""."""
         if self._after is not None:
             await asyncio.wait({self._after})
         return self._failed
 
-    async def end(self) -> None:
-        """Make it passive now, if it may be active. The order to fire has been taken back, or carried out."""
+    async def make_passive(self) -> None:
+        """Make it passive now, if it may be active. The timed write has been cancelled or executed."""
         if self._order is None:
             return
-        self.forget()
-        # Whoever fires says whether it was in time to take the order back.
-        await asyncio.gather(self._order.done(), return_exceptions=True)
+        self.drop_output()
+        # The timed writer reports whether the cancellation was in time.
+        await asyncio.gather(self._order.wait_until_written(), return_exceptions=True)
         self._order = None
-        await self._unit.session.settle((self.off,))
+        await self._unit.session.send_repeatable((self.off_command,))
 
-    def forget(self) -> None:
-        """Do nothing more about it by itself."""
+    def drop_output(self) -> None:
+        """Drop the output: no further switching by itself."""
         if self._after is not None:
             self._after.cancel()
         self._unit.driving = False
 
-    async def _release(self, until_ns: int) -> None:
+    async def _make_passive_at(self, until_ns: int) -> None:
         await sleep_until_ns(self._clock, until_ns)
         try:
-            heard = await self._unit.session.settle((self.off,), ASK_OUTPUTS)
-            if self._drive.is_active(int(heard.text(ASK_OUTPUTS))):
+            heard = await self._unit.session.send_repeatable((self.off_command,), ASK_OUTPUTS)
+            if self._drive.is_active(int(heard.first_text(ASK_OUTPUTS))):
                 self._failed = f"output {self._drive.name} is still active after it was switched back"
             self._order = None
-        except (DriverFault, LinkClosed) as error:
-            self._failed = f"output {self._drive.name} is perhaps still active: {error}"
+        except (ControllerFault, LinkClosed) as error:
+            self._failed = f"output {self._drive.name} may still be active: {error}"
         self._unit.driving = False

@@ -1,11 +1,11 @@
-"""One poll: status, positions, errors, and what else the fleet file names, in one batch."""
+"""One poll: status, positions, errors, and the points that the fleet file names, in one batch."""
 
 from collections.abc import Mapping
 from fractions import Fraction
 
-from adapters.contract import AxisReading, DriverFault, Reading, Restarted
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.ppsmc import fleetaxes
-from adapters.ppsmc.options import Options
+from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import (
     ASK_ENCODERS,
     ASK_ERRORS,
@@ -13,35 +13,36 @@ from adapters.ppsmc.replies import (
     ASK_OUTPUTS,
     ASK_POSITIONS,
     ASK_STATUS,
-    Bits,
-    Query,
-    entries,
-    errors,
-    number_in,
+    FormattedQuery,
+    StatusBits,
+    leading_number,
+    parse_entries,
+    parse_errors,
 )
-from adapters.ppsmc.unitstate import Look, UnitState
+from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
-from orchestrator.model.state import Fault
+from orchestrator.model.state import FaultReport
 
 LIMIT_ERROR = 1500
 
 
-class Poller:
-    """Reads the unit's state."""
+class PpSmcPoller:
+    """Read the controller's state."""
 
-    def __init__(self, config: Controller, options: Options, unit: UnitState) -> None:
+    def __init__(self, config: Controller, options: PpSmcOptions, unit: PpSmcState) -> None:
         self._config = config
         self._unit = unit
-        self._motors = fleetaxes.motors(config)
+        self._motors = fleetaxes.axis_numbers(config)
         self._encoders = {self._motors[name] for name in options.encoders}
-        self._last: Look | None = None
+        self._last: PpSmcReading | None = None
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
-    async def poll(self) -> Reading:
+    async def poll_state(self) -> ControllerReading:
         unit, session = self._unit, self._unit.session
-        queries: list[Query] = [ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
+        queries: list[FormattedQuery] = [ASK_STATUS, ASK_POSITIONS, ASK_ERRORS]
         measured = self._encoders | unit.closed
         if measured:
             queries.append(ASK_ENCODERS)
@@ -53,30 +54,30 @@ class Poller:
         actual: dict[int, float] = {}
         try:
             if session.blocked:
-                raise DriverFault("blocked", "", "")
-            heard = await session.ask(*queries)
-        except DriverFault as error:
-            if error.fault.code != "blocked":
+                raise ControllerFault("blocked", "", "")
+            heard = await session.send_queries(*queries)
+        except ControllerFault as error:
+            if error.code != "blocked":
                 raise
-            look = await unit.look()
+            look = await unit.read_state()
         else:
-            look = unit.looked(heard.one(ASK_STATUS), heard.one(ASK_POSITIONS), heard.written_ns)
-            said = errors(heard.lines(ASK_ERRORS))
+            look = unit.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+            said = parse_errors(heard.reply_texts(ASK_ERRORS))
             if ASK_ENCODERS in heard:
-                actual = _scaled(heard.text(ASK_ENCODERS), unit.gears)
+                actual = _parse_distances(heard.first_text(ASK_ENCODERS), unit.gears)
             if ASK_INPUTS in heard:
-                self._inputs = port_bits(int(heard.text(ASK_INPUTS)))
+                self._inputs = port_levels(int(heard.first_text(ASK_INPUTS)))
             if ASK_OUTPUTS in heard:
-                self._outputs = port_bits(int(heard.text(ASK_OUTPUTS)))
+                self._outputs = port_levels(int(heard.first_text(ASK_OUTPUTS)))
         if session.restarted:
-            raise Restarted()
-        faults = _faults(look)
-        axes = {name: self._axis(name, look, said, actual, measured) for name in self._motors}
+            raise ControllerRestarted()
+        faults = _controller_faults(look)
+        axes = {name: self._read_axis(name, look, said, actual, measured) for name in self._motors}
         for name, motor in self._motors.items():
             if motor in said and said[motor][0]:
-                faults.append(_error_fault(name, said[motor]))
+                faults.append(_axis_error_fault(name, said[motor]))
         self._last = look
-        return Reading(
+        return ControllerReading(
             at_ns=(look.begun_ns + look.at_ns) // 2,
             axes=axes,
             inputs=dict(self._inputs),
@@ -84,10 +85,10 @@ class Poller:
             faults=faults,
         )
 
-    def _axis(
+    def _read_axis(
         self,
         name: str,
-        look: Look,
+        look: PpSmcReading,
         said: Mapping[int, tuple[int, str]],
         actual: Mapping[int, float],
         measured: set[int],
@@ -95,16 +96,16 @@ class Poller:
         unit, motor = self._unit, self._motors[name]
         last, bits = self._last, look.bits[motor]
         counts = look.counts[motor]
-        if counts is None:  # it oscillates: only its being somewhere is known
+        if counts is None:  # it oscillates: its position is unknown
             counts = (last.counts[motor] if last is not None else None) or 0
-        moving = not bits & Bits.READY
+        moving = not bits & StatusBits.READY
         velocity = 0.0
         if moving and last is not None and (before := last.counts[motor]) is not None and look.at_ns > last.at_ns:
             velocity = (counts - before) * NS_PER_S / (look.at_ns - last.at_ns)
         if said.get(motor, (0, ""))[0] == LIMIT_ERROR and motor in unit.referenced:
             unit.spoiled.add(motor)
-        lost = motor in unit.spoiled or (motor in unit.referenced and not bits & Bits.REFERENCED)
-        if bits & Bits.REFERENCED:
+        lost = motor in unit.spoiled or (motor in unit.referenced and not bits & StatusBits.REFERENCED)
+        if bits & StatusBits.REFERENCED:
             unit.referenced.add(motor)
         return AxisReading(
             commanded_counts=counts,
@@ -113,48 +114,49 @@ class Poller:
             moving=moving,
             enabled=name in unit.enabled,
             limit=fleetaxes.limit_of(bits),
-            lost=lost,
+            position_lost=lost,
         )
 
 
-def _scaled(text: str, gears: Mapping[int, Fraction]) -> dict[int, float]:
+def _parse_distances(text: str, gears: Mapping[int, Fraction]) -> dict[int, float]:
     found: dict[int, float] = {}
-    for motor, value in entries(text).items():
-        distance = number_in(value)
+    for motor, value in parse_entries(text).items():
+        distance = leading_number(value)
         if distance is not None and motor in gears:
             found[motor] = float(Fraction(distance) * gears[motor])
     return found
 
 
-def port_bits(value: int) -> dict[int, bool]:
-    """The i/o port by bit."""
+def port_levels(value: int) -> dict[int, bool]:
+    """Return the i/o port by bit."""
     return {bit: bool(value >> bit & 1) for bit in fleetaxes.PORT_BITS}
 
 
-def _faults(look: Look) -> list[Fault]:
-    if not look.blocked:
+def _controller_faults(look: PpSmcReading) -> list[FaultReport]:
+    if not look.is_blocked:
         return []
     return [
-        Fault(
+        FaultReport(
             code="blocked",
-            text="the controller is blocked (`block`): it moves nothing and answers nothing but status and position",
-            remedy="make sure that it may move, then release it with `tutti reset` (it sends `unblock`)",
+            text="the controller is blocked (`block`): it moves nothing and answers only queries of status "
+            "and position",
+            remedy="ensure that it may move, then unblock it with `tutti reset` (it sends `unblock`)",
         )
     ]
 
 
-def _error_fault(name: str, error: tuple[int, str]) -> Fault:
+def _axis_error_fault(name: str, error: tuple[int, str]) -> FaultReport:
     number, text = error
     if number == LIMIT_ERROR:
-        return Fault(
+        return FaultReport(
             code="limit-error",
             text=f"axis {name} was stopped by a limit switch (error {number}); its position is not valid",
             remedy="clear it with `tutti reset`, move it off the switch, and home it",
             axis=name,
         )
-    return Fault(
+    return FaultReport(
         code="unit-error",
-        text=f"axis {name}: the unit reports error {number}{f' {text}' if text else ''}",
-        remedy="look at the unit; clear it with `tutti reset`",
+        text=f"axis {name}: the controller reports error {number}{f' {text}' if text else ''}",
+        remedy="check the controller; clear it with `tutti reset`",
         axis=name,
     )

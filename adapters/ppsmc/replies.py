@@ -1,4 +1,5 @@
-"""Forms of replies and what they say. Layouts are those of the manual where it has them, else of units in the field."""
+"""Reply formats and their parsing. Layouts are those of the manual where it has them, otherwise of controllers in the
+field."""
 
 import re
 from dataclasses import dataclass
@@ -6,54 +7,56 @@ from typing import NamedTuple
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
-    """What a reply must look like. many: it may be any number of lines."""
+class PpSmcReplyFormat:
+    """The format of a reply. many: it may be any number of lines."""
 
     words: str
     pattern: re.Pattern[str]
     many: bool = False
 
-    def fits(self, text: str) -> bool:
+    def matches_text(self, text: str) -> bool:
         return self.pattern.fullmatch(text) is not None
 
 
-class Query(NamedTuple):
-    """A query and the form of its reply."""
+class FormattedQuery(NamedTuple):
+    """A query and the format of its reply."""
 
     text: str
-    form: Form
+    form: PpSmcReplyFormat
 
 
-def _form(words: str, pattern: str, many: bool = False) -> Form:
-    return Form(words, re.compile(pattern, re.IGNORECASE), many)
+def _make_format(words: str, pattern: str, many: bool = False) -> PpSmcReplyFormat:
+    return PpSmcReplyFormat(words, re.compile(pattern, re.IGNORECASE), many)
 
 
-NUMBER = _form("a number", r"-?\d{1,10}")
-PORT = _form("a byte", r"\d{1,3}")
-STATUS = _form("`<axis>:<state>;` for each axis", r"(?:\d{1,2}:\d{1,10};)+")
-POSITIONS = _form("`<axis>:<position>;` for each axis", r"(?:\d{1,2}:(?:osc|[+-]?\d{0,12}\.?\d{1,12}[^;:\d]{0,3});)+")
-ERRORS = _form("`<axis>:<number> <text>` for each axis", r"\d{1,2}:\d{1,6}(?: .*)?", many=True)
-TARGETS = _form("`<axis>:<target>;` for each axis", r"(?:\d{1,2}:[ar]?[+-]?\d{0,12}\.?\d{1,12};?)+")
-SETTINGS = _form("`<name><axis>:<value>` lines", r"#.*|[a-z_]{1,10}\d{1,2}\s*:.*", many=True)
-VERSION = _form("the version", r".*\bsmc\b.*")
-PROGRAM = _form("program lines", r"(?!-?\d+$).+", many=True)  # no command of a program is a number alone
+NUMBER = _make_format("a number", r"-?\d{1,10}")
+PORT = _make_format("a byte", r"\d{1,3}")
+STATUS = _make_format("`<axis>:<state>;` for each axis", r"(?:\d{1,2}:\d{1,10};)+")
+POSITIONS = _make_format(
+    "`<axis>:<position>;` for each axis", r"(?:\d{1,2}:(?:osc|[+-]?\d{0,12}\.?\d{1,12}[^;:\d]{0,3});)+"
+)
+ERRORS = _make_format("`<axis>:<number> <text>` for each axis", r"\d{1,2}:\d{1,6}(?: .*)?", many=True)
+TARGETS = _make_format("`<axis>:<target>;` for each axis", r"(?:\d{1,2}:[ar]?[+-]?\d{0,12}\.?\d{1,12};?)+")
+SETTINGS = _make_format("`<name><axis>:<value>` lines", r"#.*|[a-z_]{1,10}\d{1,2}\s*:.*", many=True)
+VERSION = _make_format("the version", r".*\bsmc\b.*")
+PROGRAM = _make_format("program lines", r"(?!-?\d+$).+", many=True)  # no command of a program is only a number
 
-ASK_STATUS = Query("?s", STATUS)
-ASK_POSITIONS = Query("?p", POSITIONS)
-ASK_ENCODERS = Query("?e", POSITIONS)
-ASK_ERRORS = Query("?err", ERRORS)
-ASK_TARGETS = Query("?tb", TARGETS)
-ASK_SETTINGS = Query("?conf", SETTINGS)
-ASK_VERSION = Query("?v", VERSION)
-ASK_PROGRAM = Query("?pgm", PROGRAM)
-ASK_INPUTS = Query("?in", PORT)
-ASK_OUTPUTS = Query("?out", PORT)
-ASK_USER_STATUS = Query("?us", NUMBER)
+ASK_STATUS = FormattedQuery("?s", STATUS)
+ASK_POSITIONS = FormattedQuery("?p", POSITIONS)
+ASK_ENCODERS = FormattedQuery("?e", POSITIONS)
+ASK_ERRORS = FormattedQuery("?err", ERRORS)
+ASK_TARGETS = FormattedQuery("?tb", TARGETS)
+ASK_SETTINGS = FormattedQuery("?conf", SETTINGS)
+ASK_VERSION = FormattedQuery("?v", VERSION)
+ASK_PROGRAM = FormattedQuery("?pgm", PROGRAM)
+ASK_INPUTS = FormattedQuery("?in", PORT)
+ASK_OUTPUTS = FormattedQuery("?out", PORT)
+ASK_USER_STATUS = FormattedQuery("?us", NUMBER)
 
 _NUMBER_FIRST = re.compile(r"[+-]?\d*\.?\d+")
 
 
-class Bits:
+class StatusBits:
     """Bits of ?s (L4296-L4308, L1406)."""
 
     READY = 1
@@ -67,25 +70,25 @@ class Bits:
     BLOCKED = 16384
 
 
-def entries(text: str) -> dict[int, str]:
-    """`1:a;2:b;` by axis."""
+def parse_entries(text: str) -> dict[int, str]:
+    """Parse `1:a;2:b;`, by axis."""
     pairs = (item.split(":", 1) for item in text.split(";") if item.strip())
     return {int(number): value.strip() for number, value in pairs}
 
 
-def states(text: str) -> dict[int, int]:
-    """The bits of ?s by axis."""
-    return {number: int(value) for number, value in entries(text).items()}
+def parse_states(text: str) -> dict[int, int]:
+    """Return the bits of ?s by axis."""
+    return {number: int(value) for number, value in parse_entries(text).items()}
 
 
-def number_in(text: str) -> str | None:
-    """The number at the beginning, without the unit that `pqrf1` appends (L1101); None for `osc` (L4230)."""
+def leading_number(text: str) -> str | None:
+    """Return the number at the beginning, without the unit that `pqrf1` appends (L1101); None for `osc` (L4230)."""
     found = _NUMBER_FIRST.match(text)
     return None if found is None else found[0]
 
 
-def errors(lines: list[str]) -> dict[int, tuple[int, str]]:
-    """Number and text of the last error by axis; 0 is none."""
+def parse_errors(lines: list[str]) -> dict[int, tuple[int, str]]:
+    """Return number and text of the last error by axis; 0 is none."""
     found: dict[int, tuple[int, str]] = {}
     for line in lines:
         axis, _, rest = line.partition(":")
@@ -94,8 +97,8 @@ def errors(lines: list[str]) -> dict[int, tuple[int, str]]:
     return found
 
 
-def settings(lines: list[str]) -> dict[int, dict[str, str]]:
-    """Values of ?conf by axis and name."""
+def parse_settings(lines: list[str]) -> dict[int, dict[str, str]]:
+    """Return the values of ?conf by axis and name."""
     found: dict[int, dict[str, str]] = {}
     for line in lines:
         match = re.fullmatch(r"([a-z_]+)(\d+)\s*:\s*(.*)", line, re.IGNORECASE)

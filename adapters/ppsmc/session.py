@@ -1,10 +1,10 @@
-"""The conversation on one connection: batches of lines, each closed by a token that comes back behind its answers.
+"""The exchanges on one connection: batches of lines, each closed by a token that returns after its answers.
 
-Only queries are answered, several answers look alike (`?s` and `?p`), some have as many lines as the unit has axes, and
-messages may come in between. So every batch ends with `us<token>` and `?us` (L3152, L4388): what comes until the token
-is its answers, whole and in order, and what a lost batch still sends is told by its own token. Before a new token is
-given the old one is read: it is 0 after a restart (L3158). A blocked unit answers
-`?s` and `?p` alone (L1404): those are asked without a token then.
+Only queries are answered, several answers look alike (`?s` and `?p`), some have as many lines as the controller has
+axes, and messages may come in between. So every batch ends with `us<token>` and `?us` (L3152, L4388): everything
+received until the token is its answers, whole and in order, and late answers of a lost batch are recognised by its
+token. Before a new token is sent the old one is read: it is 0 after a restart (L3158). A blocked controller answers
+only `?s` and `?p` (L1404): those are queried without a token then.
 """
 
 import asyncio
@@ -13,87 +13,89 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, ASK_USER_STATUS, Bits, Query, states
+from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, ASK_USER_STATUS, FormattedQuery, StatusBits, parse_states
 from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 
 EOL = "\r\n"
-# Ends a half-typed line without completing it: `goto1:5` must not become a command by our line end.
+# Ends a half-typed line without completing it: `goto1:5` must not become a command by this session's line end.
 SPOILER = "!"
-_FIRST_TOKEN = 1_000_000  # no port byte, and nothing that a person would choose
+_FIRST_TOKEN = 1_000_000  # not a port byte, and not a value that a user would choose
 _LAST_TOKEN = 2_000_000_000
 _MOST_LINES = 5000
-_LINES_AT_MOST = 14  # of an exchange that only asks
-_LONGEST_ANSWER = 120  # characters of one answer, for the time that it takes on a serial line
+_LINES_AT_MOST = 14  # of an exchange with queries only
+_LONGEST_ANSWER = 120  # characters of one answer, for its transmission time on a serial line
 _DELIMITERS = re.compile(r"[\r\n]")
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A line as it came. at_ns: host time when its end was taken from the operating system."""
+class PpSmcLine:
+    """A received line. at_ns: host time when its end was taken from the operating system."""
 
     text: str
     at_ns: int
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What was said to a batch, by query and all of it. written_ns: when the batch was handed over (or would be, at
-    the latest)."""
+class TokenReply:
+    """The answers to a batch, by query, and all of its lines. written_ns: when the batch was handed over (at the
+    latest)."""
 
-    answers: dict[str, list[Line]]
+    answers: dict[str, list[PpSmcLine]]
     written_ns: int
-    said: list[Line]
+    all_lines: list[PpSmcLine]
 
-    def one(self, query: Query) -> Line:
+    def first_line(self, query: FormattedQuery) -> PpSmcLine:
         return self.answers[query.text][0]
 
-    def text(self, query: Query) -> str:
-        return self.one(query).text
+    def first_text(self, query: FormattedQuery) -> str:
+        return self.first_line(query).text
 
-    def lines(self, query: Query) -> list[str]:
+    def reply_texts(self, query: FormattedQuery) -> list[str]:
         return [line.text for line in self.answers[query.text]]
 
-    def __contains__(self, query: Query) -> bool:
+    def __contains__(self, query: FormattedQuery) -> bool:
         return query.text in self.answers
 
 
-Answered = asyncio.Future[Heard]
+ReplyFuture = asyncio.Future[TokenReply]
 
 
 @dataclass(slots=True)
-class Pending:
-    """A batch whose answers are still to come, for so long after it is written."""
+class PendingBatch:
+    """A batch whose answers are outstanding. wait_ns: their timeout after the write."""
 
     token: str
-    queries: tuple[Query, ...]
+    queries: tuple[FormattedQuery, ...]
     data: bytes
     written_ns: int
     wait_ns: int
-    answered: Answered = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+    answered: ReplyFuture = field(default_factory=lambda: asyncio.get_running_loop().create_future())
     timer: Timer | None = None
 
-    def settle(self, heard: Heard) -> None:
+    def set_reply(self, heard: TokenReply) -> None:
         if self.timer is not None:
             self.timer.cancel()
         if not self.answered.done():
             self.answered.set_result(heard)
 
-    def fail(self, error: Exception) -> None:
+    def set_failure(self, error: Exception) -> None:
         if self.timer is not None:
             self.timer.cancel()
         if not self.answered.done():
             self.answered.set_exception(error)
-            self.answered.exception()  # looked at: a waiter that was cancelled meanwhile leaves no unheard error
+            # retrieved: a waiter that was cancelled meanwhile leaves no unretrieved exception
+            self.answered.exception()
 
 
-class Session:
-    """The conversation with one unit.
+class PpSmcSession:
+    """The exchanges with one controller.
 
-    slow_ns: the slowest execution of one command. token: the last one of an earlier connection, 0 without any.
-    restarted: the unit has forgotten the token; stays so until somebody takes note.
-    greeting: what the unit said first.
+    slow_ns: the slowest execution of one command.
+    token: the last token of an earlier connection, 0 without any.
+    restarted: the controller has lost the token; stays set until it is handled.
+    greeting: the controller's first message.
     """
 
     def __init__(self, link: Link, clock: Clock, answer_ns: int, slow_ns: int, token: int = 0) -> None:
@@ -107,115 +109,123 @@ class Session:
         self._slow_ns = slow_ns
         self._token = max(token, _FIRST_TOKEN)
         self._turn = asyncio.Lock()
-        self._pending: dict[str, Pending] = {}
+        self._pending: dict[str, PendingBatch] = {}
         self._lost: set[str] = set()
-        self._heard: list[Line] = []
+        self._received_lines: list[PpSmcLine] = []
         self._plain: asyncio.Event | None = None
-        self._rest = ""
-        self._astray = True  # nobody knows what was said before
+        self._partial_line = ""
+        self._out_of_step = True  # the previous traffic is unknown
         self._closed: LinkClosed | None = None
         self._quiet = (0, 0)
-        self._reader = asyncio.get_running_loop().create_task(self._read())
+        self._reader = asyncio.get_running_loop().create_task(self._read_lines())
 
     async def close(self) -> None:
         self._reader.cancel()
         await self.link.close()
-        self._lose(LinkClosed(f"{self.link.place} is closed"))
+        self._handle_link_loss(LinkClosed(f"{self.link.place} is closed"))
 
     @property
-    def token(self) -> int:
-        """The last token that may have been written: what `?us` gives as long as the unit is not restarted."""
+    def last_token(self) -> int:
+        """The last token that may have been written: the answer to `?us` as long as the controller is not restarted."""
         return self._token
 
-    # Saying things
+    # Exchanges
 
-    async def ask(self, *queries: Query) -> Heard:
-        """The answers to queries, which are asked once more when they go wrong. Raises `DriverFault`."""
-        return await self.settle((), *queries)
+    async def send_queries(self, *queries: FormattedQuery) -> TokenReply:
+        """Return the answers to queries, which are repeated once when they fail. Raises `ControllerFault`."""
+        return await self.send_repeatable((), *queries)
 
-    async def settle(self, commands: Sequence[str], *queries: Query) -> Heard:
-        """Give commands that may as well be given twice, then ask; all once more when it goes wrong."""
+    async def send_repeatable(self, commands: Sequence[str], *queries: FormattedQuery) -> TokenReply:
+        """Send commands that may be sent twice, then queries; all are repeated once on a failure."""
         try:
-            return await self.say(commands, *queries)
-        except DriverFault as error:
-            if error.fault.code == "blocked":
+            return await self.send_once(commands, *queries)
+        except ControllerFault as error:
+            if error.code == "blocked":
                 raise
-            self._astray = True
-        return await self.say(commands, *queries)
+            self._out_of_step = True
+        return await self.send_once(commands, *queries)
 
-    async def say(self, commands: Sequence[str], *queries: Query, still: Callable[[], None] | None = None) -> Heard:
-        """Give commands, then ask. Not repeated. still: called when it is its turn; if it raises, nothing is sent."""
+    async def send_once(
+        self, commands: Sequence[str], *queries: FormattedQuery, before_send: Callable[[], None] | None = None
+    ) -> TokenReply:
+        """Send commands, then queries, without repetition. before_send: called when it is its turn; if it raises,
+        nothing is
+        sent."""
         async with self._turn:
-            await self._prepare()
-            if still is not None:
-                still()
-            return await self._once(commands, queries)
+            await self._synchronise()
+            if before_send is not None:
+                before_send()
+            return await self._run_batch(commands, queries)
 
-    def block_sent(self) -> None:
-        """`block` is on its way: it clears the unit's command buffers (L1409), and what was asked stays unanswered."""
+    def handle_block(self) -> None:
+        """Handle a `block` under way: it clears the controller's command buffers (L1409), and outstanding queries stay
+        unanswered."""
         self.blocked = True
         for pending in list(self._pending.values()):
-            self.forget(pending)
+            self.remove_expected(pending)
             self._lost.add(pending.token)
-            pending.fail(_blocked(self.link.place))
+            pending.set_failure(_blocked_fault(self.link.place))
 
-    async def ask_blocked(self) -> tuple[Line, Line]:
-        """`?s` and `?p`, which a blocked unit answers, too; asked again, for a block clears even them when it comes.
+    async def query_blocked(self) -> tuple[PpSmcLine, PpSmcLine]:
+        """Query `?s` and `?p`, which a blocked controller answers, too; repeated, because an arriving block clears even
+        these.
 
-        `blocked` says whether it is.
+        `blocked` shows whether it is.
         """
         async with self._turn:
             try:
-                return await self._ask_plain()
-            except DriverFault:
-                return await self._ask_plain()
+                return await self._query_plain()
+            except ControllerFault:
+                return await self._query_plain()
 
-    async def release(self) -> None:
-        """`unblock`, in both of the manual's spellings (L1396, L3126); then everything is asked for anew."""
+    async def unblock_controller(self) -> None:
+        """Send `unblock`, in both of the manual's spellings (L1396, L3126); then start the exchanges again."""
         async with self._turn:
-            self._write("unblock", "unlock")
+            self._write_lines("unblock", "unlock")
             self.blocked = False
-            self._astray = True
+            self._out_of_step = True
 
-    async def converse(self, command: str) -> str:
-        """Any line, and whatever is said to it."""
+    async def send_raw(self, command: str) -> str:
+        """Send any command, and return whatever the reply is."""
         async with self._turn:
             if self.blocked:
-                self._write(command)
+                self._write_lines(command)
                 self.blocked = False
                 await sleep_ns(self._clock, self._slow_ns)
                 return ""
-            await self._prepare()
-            pending = self._batch((command,), ())
+            await self._synchronise()
+            pending = self._build_batch((command,), ())
             self.link.write(pending.data)
             heard = await pending.answered
-            self._astray = True  # it may have changed how answers end
-            return "\n".join(line.text for line in heard.said[:-1])
+            self._out_of_step = True  # it may have changed the delimiters of answers
+            return "\n".join(line.text for line in heard.all_lines[:-1])
 
-    def interrupt(self, *commands: str) -> int:
-        """Write past everything else, at once; gives the instant. Our lines are handed over whole, so that this is
-        always at the beginning of a line."""
-        return self._write(*commands)
+    def write_at_once(self, *commands: str) -> int:
+        """Write at once, bypassing everything else; return the instant. Each command of the session is handed over as a
+        whole, so that this is always at the beginning of a line."""
+        return self._write_lines(*commands)
 
-    def expect(self, commands: Sequence[str], queries: Sequence[Query], written_by_ns: int) -> Pending:
-        """Somebody else writes the batch's `data` by that instant: keep the place of its answers."""
-        return self._batch(commands, queries, written_by_ns)
+    def expect_batch(
+        self, commands: Sequence[str], queries: Sequence[FormattedQuery], written_by_ns: int
+    ) -> PendingBatch:
+        """Expect the answers to a batch whose `data` another writer writes by that instant."""
+        return self._build_batch(commands, queries, written_by_ns)
 
-    def written(self, pending: Pending, at_ns: int) -> None:
-        """The batch that was expected was written at that instant."""
+    def record_write(self, pending: PendingBatch, at_ns: int) -> None:
+        """Record when the expected batch was written."""
         pending.written_ns = at_ns
         if pending.token in self._pending and pending.timer is not None:
             pending.timer.cancel()
-            pending.timer = self._clock.call_at_ns(at_ns + pending.wait_ns, partial(self._expire, pending))
+            pending.timer = self._clock.call_at_ns(at_ns + pending.wait_ns, partial(self._handle_timeout, pending))
 
-    def forget(self, pending: Pending) -> None:
-        """The batch was never written."""
+    def remove_expected(self, pending: PendingBatch) -> None:
+        """Remove an expected batch that was never written."""
         if pending.timer is not None:
             pending.timer.cancel()
         self._pending.pop(pending.token, None)
 
-    def alone(self) -> asyncio.Lock:
-        """Held by whoever must have nothing else under way on the connection."""
+    def exclusive_lock(self) -> asyncio.Lock:
+        """Return the lock for exclusive use of the connection."""
         return self._turn
 
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
@@ -226,15 +236,17 @@ class Session:
         self._quiet = (0, 0)
 
     def wire_ns(self, characters: int) -> int:
-        """How long so many characters are on the wire."""
+        """Return the transmission time of `characters` characters."""
         return characters * self.link.char_ns
 
-    # Inside
+    # Internals
 
-    def _write(self, *commands: str) -> int:
+    def _write_lines(self, *commands: str) -> int:
         return self.link.write("".join(command + EOL for command in commands).encode())
 
-    def _batch(self, commands: Sequence[str], queries: Sequence[Query], written_ns: int | None = None) -> Pending:
+    def _build_batch(
+        self, commands: Sequence[str], queries: Sequence[FormattedQuery], written_ns: int | None = None
+    ) -> PendingBatch:
         if self._closed is not None:
             raise self._closed
         self._token = self._token + 1 if self._token < _LAST_TOKEN else _FIRST_TOKEN
@@ -246,56 +258,56 @@ class Session:
         wait_ns = self._answer_ns + len(lines) * self._slow_ns + self.wire_ns(len(data) + answers * _LONGEST_ANSWER)
         before = sum(each.written_ns <= since_ns for each in self._pending.values())
         wait_ns += (before + 1) * self._slow_ns * 10
-        pending = self._pending[token] = Pending(token, tuple(queries), data, since_ns, wait_ns)
-        pending.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._expire, pending))
+        pending = self._pending[token] = PendingBatch(token, tuple(queries), data, since_ns, wait_ns)
+        pending.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._handle_timeout, pending))
         return pending
 
-    async def _once(self, commands: Sequence[str], queries: Sequence[Query]) -> Heard:
-        pending = self._batch(commands, queries)
+    async def _run_batch(self, commands: Sequence[str], queries: Sequence[FormattedQuery]) -> TokenReply:
+        pending = self._build_batch(commands, queries)
         self.link.write(pending.data)
         try:
             return await pending.answered
-        except DriverFault as error:
-            if error.fault.code != "no-answer":
+        except ControllerFault as error:
+            if error.code != "no-answer":
                 raise
-            await self._look_for_block(error)
+            await self._detect_block(error)
             raise
 
-    async def _prepare(self) -> None:
+    async def _synchronise(self) -> None:
         while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
             await sleep_ns(self._clock, NS_PER_MS)
         if self.blocked:
-            raise _blocked(self.link.place)
-        if self._astray:
-            # End what is half-typed (each TCP connection has lines of its own), then agree on delimiters.
+            raise _blocked_fault(self.link.place)
+        if self._out_of_step:
+            # End a half-typed line (each TCP connection has its own line buffer), then set the delimiters.
             spoiler = (SPOILER,) if self.link.char_ns else ()
-            await self._once((*spoiler, "txdel3", "echo0"), ())
-            self._astray = False
+            await self._run_batch((*spoiler, "txdel3", "echo0"), ())
+            self._out_of_step = False
 
-    async def _look_for_block(self, error: DriverFault) -> None:
+    async def _detect_block(self, error: ControllerFault) -> None:
         try:
-            await self._ask_plain()
-        except DriverFault:
+            await self._query_plain()
+        except ControllerFault:
             raise error from None
         if self.blocked:
-            raise _blocked(self.link.place) from None
+            raise _blocked_fault(self.link.place) from None
 
-    async def _ask_plain(self) -> tuple[Line, Line]:
+    async def _query_plain(self) -> tuple[PpSmcLine, PpSmcLine]:
         self._require_open()
-        self._heard.clear()
+        self._received_lines.clear()
         changed = self._plain = asyncio.Event()
         until_ns = self._clock.now_ns() + self._answer_ns + 2 * self._slow_ns + self.wire_ns(2 * _LONGEST_ANSWER)
         timer = self._clock.call_at_ns(until_ns, changed.set)
         try:
-            self._write(ASK_STATUS.text, ASK_POSITIONS.text)
+            self._write_lines(ASK_STATUS.text, ASK_POSITIONS.text)
             while True:
                 await changed.wait()
                 self._require_open()
                 changed.clear()
-                found = [line for line in self._heard if ASK_POSITIONS.form.fits(line.text)]
-                if len(found) >= 2 and ASK_STATUS.form.fits(found[0].text):
-                    self._heard.clear()
-                    self.blocked = any(each & Bits.BLOCKED for each in states(found[0].text).values())
+                found = [line for line in self._received_lines if ASK_POSITIONS.form.matches_text(line.text)]
+                if len(found) >= 2 and ASK_STATUS.form.matches_text(found[0].text):
+                    self._received_lines.clear()
+                    self.blocked = any(each & StatusBits.BLOCKED for each in parse_states(found[0].text).values())
                     return found[0], found[1]
                 if self._clock.now_ns() >= until_ns:
                     raise self._no_answer(f"{ASK_STATUS.text} and {ASK_POSITIONS.text}")
@@ -303,71 +315,71 @@ class Session:
             timer.cancel()
             self._plain = None
 
-    def _expire(self, pending: Pending) -> None:
+    def _handle_timeout(self, pending: PendingBatch) -> None:
         if self._pending.pop(pending.token, None) is None:
             return
         self._lost.add(pending.token)
-        self._astray = True
+        self._out_of_step = True
         first = pending.data.decode().split(EOL, 1)[0]
-        pending.fail(self._no_answer(f"the lines from {first!r}"))
+        pending.set_failure(self._no_answer(f"the lines from {first!r}"))
 
-    def _no_answer(self, what: str) -> DriverFault:
-        return DriverFault(
+    def _no_answer(self, what: str) -> ControllerFault:
+        return ControllerFault(
             "no-answer",
-            f"no answer to {what} on {self.link.place}",
-            "check power and cable; a unit that is shutting down or shows a dialogue does not answer",
+            f"no reply to {what} on {self.link.place}",
+            "check power and cable; a controller that is shutting down or shows a dialogue does not answer",
         )
 
     def _require_open(self) -> None:
         if self._closed is not None:
             raise self._closed
 
-    async def _read(self) -> None:
+    async def _read_lines(self) -> None:
         try:
             while True:
                 received = await self.link.read()
-                *whole, self._rest = _DELIMITERS.split(self._rest + received.data.decode("latin-1"))
+                *whole, self._partial_line = _DELIMITERS.split(self._partial_line + received.data.decode("latin-1"))
                 for each in whole:
                     text = each.strip("\x02\x03\0 \t")  # the frame of txp1 (L4708)
                     if text:
-                        self._take(Line(text, received.at_ns))
+                        self._handle_line(PpSmcLine(text, received.at_ns))
         except LinkClosed as error:
-            self._lose(error)
+            self._handle_link_loss(error)
 
-    def _lose(self, error: LinkClosed) -> None:
+    def _handle_link_loss(self, error: LinkClosed) -> None:
         self._closed = error
         for pending in list(self._pending.values()):
-            pending.fail(error)
+            pending.set_failure(error)
         self._pending.clear()
         if self._plain is not None:
             self._plain.set()
 
-    def _take(self, line: Line) -> None:
-        if self._astray and not self.greeting and line.text.lower().startswith("smc "):
+    def _handle_line(self, line: PpSmcLine) -> None:
+        if self._out_of_step and not self.greeting and line.text.lower().startswith("smc "):
             self.greeting = line.text
             return
         pending = self._pending.pop(line.text, None)
         if pending is not None:
-            self._answer(pending)
-            self._heard.clear()
+            self._assign_answers(pending)
+            self._received_lines.clear()
         elif line.text in self._lost:
-            # The end of a lost batch; or what `?us` gives now because that batch was executed after all.
+            # The end of a lost batch; or the present answer to `?us`, because that batch was executed after all.
             self._lost.discard(line.text)
-            self._heard = [line]
+            self._received_lines = [line]
         else:
-            self._heard.append(line)
-            del self._heard[:-_MOST_LINES]
+            self._received_lines.append(line)
+            del self._received_lines[:-_MOST_LINES]
         if self._plain is not None:
             self._plain.set()
 
-    def _answer(self, pending: Pending) -> None:
-        """Share out the lines before the token; what fits nothing is a message (echo, L1824)."""
-        answers: dict[str, list[Line]] = {}
-        left, said = list(self._heard), list(self._heard)
+    def _assign_answers(self, pending: PendingBatch) -> None:
+        """Assign the lines before the token to the queries; a line that matches none is a message (echo, L1824)."""
+        answers: dict[str, list[PpSmcLine]] = {}
+        left, said = list(self._received_lines), list(self._received_lines)
         for query in (*pending.queries, ASK_USER_STATUS):
-            mine: list[Line] = []
+            mine: list[PpSmcLine] = []
             while left:
-                if not query.form.fits(left[0].text):
+                if not query.form.matches_text(left[0].text):
                     if mine:
                         break
                     left.pop(0)
@@ -376,14 +388,14 @@ class Session:
                 if not query.form.many:
                     break
             if not mine and not query.form.many:
-                self._astray = True
-                said = "; ".join(line.text for line in self._heard) or "nothing"
-                pending.fail(
-                    DriverFault(
+                self._out_of_step = True
+                said = "; ".join(line.text for line in self._received_lines) or "nothing"
+                pending.set_failure(
+                    ControllerFault(
                         "garbage",
                         f"asked {query.text!r} on {self.link.place}, expected {query.form.words}, "
                         f"received {said[:200]!r}",
-                        "check cable and ground; is the option installed that the question is about?",
+                        "check cable and ground; is the option installed that the query concerns?",
                     )
                 )
                 return
@@ -391,17 +403,17 @@ class Session:
         if answers[ASK_USER_STATUS.text][0].text == "0":
             self.restarted = self.restarted or self._known
         self._known = True
-        pending.settle(Heard(answers, pending.written_ns, said))
+        pending.set_reply(TokenReply(answers, pending.written_ns, said))
 
 
-def _blocked(place: str) -> DriverFault:
-    return DriverFault(
+def _blocked_fault(place: str) -> ControllerFault:
+    return ControllerFault(
         "blocked",
-        f"the controller at {place} is blocked: somebody has sent `block`",
-        "make sure that it may move, then release it with `tutti reset` (it sends `unblock`)",
+        f"the controller at {place} is blocked: a client has sent `block`",
+        "ensure that it may move, then unblock it with `tutti reset` (it sends `unblock`)",
     )
 
 
-def refusal(error: DriverFault) -> CannotDo:
-    """The same as a refusal: nothing has begun."""
-    return CannotDo(error.fault.code, error.fault.text, error.fault.remedy)
+def as_refusal(error: ControllerFault) -> Refusal:
+    """Return the same as a refusal: nothing has begun."""
+    return Refusal(error.code, error.text, error.remedy)

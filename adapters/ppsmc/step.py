@@ -1,40 +1,44 @@
-"""A step's part while it is loaded or under way."""
+"""A step's part while it is loaded or in progress."""
 
 from dataclasses import dataclass
 
-from adapters.contract import FireOrder, Span
-from adapters.ppsmc.lowering import SmcLowered
-from adapters.ppsmc.output import DrivenOutput
-from adapters.ppsmc.session import Pending
+from adapters.contract import HostInterval, TimedWrite
+from adapters.ppsmc.lowering import PpSmcLowered
+from adapters.ppsmc.output import PpSmcOutput
+from adapters.ppsmc.session import PendingBatch
 
 
 @dataclass(slots=True)
-class Move:
-    """A move that is loaded. output: what it switches. From `go` on it is released: with the order to fire and the
-    place of the answers behind what is fired, or with a program that waits. started: span of the start, when known."""
+class LoadedMove:
+    """A loaded move.
 
-    lowered: SmcLowered
+    output: the output that it switches.
+    released: True from `go` on, with a timed write or a waiting program.
+    pending: the expected answers after the timed write.
+    started: interval of the start, when known."""
+
+    lowered: PpSmcLowered
     t0_ns: int
-    output: DrivenOutput | None = None
+    output: PpSmcOutput | None = None
     ignore_limits: bool = False
     released: bool = False
-    order: FireOrder | None = None
-    pending: Pending | None = None
-    started: Span | None = None
+    order: TimedWrite | None = None
+    pending: PendingBatch | None = None
+    started: HostInterval | None = None
     stopped_ns: int | None = None
-    taken_back: bool = False
+    cancelled: bool = False
 
     @property
-    def motors(self) -> set[int]:
+    def motor_numbers(self) -> set[int]:
         return {each.motor for each in self.lowered.moves}
 
     @property
-    def waits(self) -> bool:
+    def waits_for_input(self) -> bool:
         """Whether an input starts it."""
         return self.lowered.wait is not None and bool(self.lowered.moves)
 
     @property
-    def start_line(self) -> str:
+    def start_command(self) -> str:
         if self.lowered.by_program:
             return "start:"
         return "tbg:iel" if self.ignore_limits else "tbg"

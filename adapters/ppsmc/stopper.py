@@ -1,4 +1,5 @@
-"""The connection that stops go by: commands of one connection are executed in order, those of another beside them."""
+"""The separate connection for stops: commands of one connection are executed in order, those of another
+concurrently."""
 
 import asyncio
 
@@ -6,8 +7,9 @@ from adapters.ppsmc.session import EOL
 from orchestrator.link.base import Link, LinkClosed, LinkRefused, OpenLink
 
 
-class Stopper:
-    """A second TCP connection, kept open. Without it (serial port, no client free) stops go by the first alone."""
+class StopConnection:
+    """A second TCP connection, kept open. Without it (serial port, no free client) stops use the first connection
+    alone."""
 
     def __init__(self, open_link: OpenLink, wanted: bool) -> None:
         self._open_link = open_link
@@ -15,18 +17,18 @@ class Stopper:
         self._link: Link | None = None
         self._reader: asyncio.Task[None] | None = None
 
-    async def open(self) -> None:
-        """Open it if it should be there and is not."""
+    async def open_connection(self) -> None:
+        """Open it if it is wanted and not open."""
         if not self._wanted or self._link is not None:
             return
         try:
             link = self._link = await self._open_link()
         except LinkRefused:
             return
-        self._reader = asyncio.get_running_loop().create_task(self._drain(link))
+        self._reader = asyncio.get_running_loop().create_task(self._discard_input(link))
 
-    def write(self, *lines: str) -> int | None:
-        """Write at once; the instant, or None when it is not open."""
+    def write_stop(self, *lines: str) -> int | None:
+        """Write at once; return the instant, or None when it is not open."""
         if self._link is None:
             return None
         try:
@@ -43,8 +45,8 @@ class Stopper:
         if link is not None:
             await link.close()
 
-    async def _drain(self, link: Link) -> None:
-        """What the unit says here (its greeting, messages) interests nobody; its end does."""
+    async def _discard_input(self, link: Link) -> None:
+        """Discard everything received here (its greeting, messages); only the end of the connection matters."""
         try:
             while True:
                 await link.read()

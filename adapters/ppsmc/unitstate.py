@@ -1,4 +1,4 @@
-"""What the driver knows of the unit between two commands, and its looks at it."""
+"""The driver's knowledge of the controller between two commands, and its status queries."""
 
 import asyncio
 from collections import Counter
@@ -7,20 +7,31 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.ppsmc import fleetaxes
-from adapters.ppsmc.replies import ASK_ERRORS, ASK_POSITIONS, ASK_STATUS, Bits, entries, errors, number_in, states
-from adapters.ppsmc.session import Line, Session
-from adapters.ppsmc.stopper import Stopper
+from adapters.ppsmc.replies import (
+    ASK_ERRORS,
+    ASK_POSITIONS,
+    ASK_STATUS,
+    StatusBits,
+    leading_number,
+    parse_entries,
+    parse_errors,
+    parse_states,
+)
+from adapters.ppsmc.session import PpSmcLine, PpSmcSession
+from adapters.ppsmc.stopper import StopConnection
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """One look at all axes of the unit, by number. counts: None while an axis oscillates; to within
-    `grains` steps, by the decimals that were told. at_ns: when the answer had
-    come. begun_ns: when it was asked."""
+class PpSmcReading:
+    """One reading of all axes of the controller, by number.
+
+    counts: None while an axis oscillates; accurate to `grains` steps, by the reported decimals.
+    begun_ns: when the query was sent.
+    at_ns: when the answer had arrived."""
 
     bits: Mapping[int, int]
     counts: Mapping[int, int | None]
@@ -29,40 +40,47 @@ class Look:
     at_ns: int
 
     @property
-    def idle(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether nothing moves and no program runs."""
-        return all(bits & Bits.IDLE and not bits & Bits.PROGRAM for bits in self.bits.values())
+        return all(bits & StatusBits.IDLE and not bits & StatusBits.PROGRAM for bits in self.bits.values())
 
     @property
-    def program(self) -> bool:
-        return any(bits & Bits.PROGRAM for bits in self.bits.values())
+    def program_runs(self) -> bool:
+        return any(bits & StatusBits.PROGRAM for bits in self.bits.values())
 
     @property
-    def blocked(self) -> bool:
-        return any(bits & Bits.BLOCKED for bits in self.bits.values())
+    def is_blocked(self) -> bool:
+        return any(bits & StatusBits.BLOCKED for bits in self.bits.values())
 
     @property
     def on_limit(self) -> bool:
-        return any(bits & (Bits.LIMIT_FORWARD | Bits.LIMIT_REVERSE) for bits in self.bits.values())
+        return any(bits & (StatusBits.LIMIT_FORWARD | StatusBits.LIMIT_REVERSE) for bits in self.bits.values())
 
-    def ready(self, motor: int) -> bool:
-        return bool(self.bits[motor] & Bits.READY)
+    def is_ready(self, motor: int) -> bool:
+        return bool(self.bits[motor] & StatusBits.READY)
 
 
 @dataclass(slots=True)
-class UnitState:
-    """One connection to one unit.
+class PpSmcState:
+    """One connection to one controller.
 
-    gears: steps per mm or deg, and homes: position after a reference search, by axis number. closed: axes in closed
-    loop. enabled: by name, what the adapter may move. referenced: axes that have been seen with an installed reference
-    since the last search. spoiled: axes that a limit switch has stopped, whose position is not valid (L2546).
-    loading: held by whoever configures the unit, output_turn: by whoever changes outputs. untidy: a stop or a move may
-    have left targets. profiles: what is known to be loaded. introduced: compared with the fleet file. driving: a step
-    switches an output. watched: told of every look while a move is under way.
+    gears: steps per mm or deg, by axis number.
+    homes: position after a reference search, by axis number.
+    closed: axes in closed loop.
+    enabled: names of the axes that the adapter may move.
+    referenced: axes that have been seen with an installed reference since the last search.
+    spoiled: axes that a limit switch has stopped, whose position is not valid (L2546).
+    loading: lock for configuring the controller.
+    output_lock: lock for changing outputs.
+    untidy: a stop or a move may have left targets.
+    profiles: what is known to be loaded.
+    introduced: compared with the fleet file.
+    driving: a step switches an output.
+    on_reading: called with every reading while a move is in progress.
     """
 
-    session: Session
-    stopper: Stopper
+    session: PpSmcSession
+    stopper: StopConnection
     config: Controller
     slow_ns: int
     gears: dict[int, Fraction] = field(default_factory=dict[int, Fraction])
@@ -72,106 +90,107 @@ class UnitState:
     referenced: set[int] = field(default_factory=set[int])
     spoiled: set[int] = field(default_factory=set[int])
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
-    by_hand: set[int] = field(default_factory=set[int])
+    jogging_motors: set[int] = field(default_factory=set[int])
     profiles: dict[int, tuple[int, int, int, int]] = field(default_factory=dict[int, tuple[int, int, int, int]])
-    output_turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    output_lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     untidy: bool = False
     introduced: bool = False
     driving: bool = False
-    watched: Callable[[Look], None] | None = None
+    on_reading: Callable[[PpSmcReading], None] | None = None
     installed: int = 0
-    _stops_given: Counter[int] = field(default_factory=Counter[int])
+    _stop_counts: Counter[int] = field(default_factory=Counter[int])
 
-    # Looking
+    # Status
 
-    async def look(self) -> Look:
-        """Status and positions of all axes, of a blocked unit as well. Raises `DriverFault`."""
+    async def read_state(self) -> PpSmcReading:
+        """Return status and positions of all axes, also of a blocked controller. Raises `ControllerFault`."""
         session = self.session
         if not session.blocked:
             try:
-                heard = await session.ask(ASK_STATUS, ASK_POSITIONS)
-            except DriverFault as error:
-                if error.fault.code != "blocked":
+                heard = await session.send_queries(ASK_STATUS, ASK_POSITIONS)
+            except ControllerFault as error:
+                if error.code != "blocked":
                     raise
             else:
-                return self.looked(heard.one(ASK_STATUS), heard.one(ASK_POSITIONS), heard.written_ns)
-        status, positions = await session.ask_blocked()
-        return self.looked(status, positions, status.at_ns)
+                return self.parse_state(heard.first_line(ASK_STATUS), heard.first_line(ASK_POSITIONS), heard.written_ns)
+        status, positions = await session.query_blocked()
+        return self.parse_state(status, positions, status.at_ns)
 
-    def looked(self, status: Line, positions: Line, begun_ns: int) -> Look:
-        """What two answers say. Raises `DriverFault` when an axis is missing in them."""
-        bits = states(status.text)
+    def parse_state(self, status: PpSmcLine, positions: PpSmcLine, begun_ns: int) -> PpSmcReading:
+        """Parse two answers. Raises `ControllerFault` when an axis is missing in them."""
+        bits = parse_states(status.text)
         counts: dict[int, int | None] = {}
         grains: dict[int, float] = {}
-        for number, text in entries(positions.text).items():
-            distance = number_in(text)
+        for number, text in parse_entries(positions.text).items():
+            distance = leading_number(text)
             gear = self.gears.get(number, Fraction(1))
-            counts[number] = None if distance is None else fleetaxes.steps(distance, gear)
-            grains[number] = 1.0 if distance is None else fleetaxes.grain(distance, gear)
-        for motor in fleetaxes.motors(self.config).values():
+            counts[number] = None if distance is None else fleetaxes.parse_steps(distance, gear)
+            grains[number] = 1.0 if distance is None else fleetaxes.position_resolution(distance, gear)
+        for motor in fleetaxes.axis_numbers(self.config).values():
             if motor not in bits or motor not in counts:
-                raise DriverFault(
+                raise ControllerFault(
                     "garbage",
                     f"axis {motor} is missing in the answers {status.text!r} and {positions.text!r}",
                     "check cable and ground, and `motors` in the fleet file",
                 )
         self.installed = max(bits)
-        look = Look(bits, counts, grains, begun_ns, positions.at_ns)
-        if self.watched is not None:
-            self.watched(look)
+        look = PpSmcReading(bits, counts, grains, begun_ns, positions.at_ns)
+        if self.on_reading is not None:
+            self.on_reading(look)
         return look
 
-    async def errors(self) -> dict[int, tuple[int, str]]:
-        """Number and text of the last error, by axis."""
-        heard = await self.session.ask(ASK_ERRORS)
-        return errors(heard.lines(ASK_ERRORS))
+    async def read_errors(self) -> dict[int, tuple[int, str]]:
+        """Return number and text of the last error, by axis."""
+        heard = await self.session.send_queries(ASK_ERRORS)
+        return parse_errors(heard.reply_texts(ASK_ERRORS))
 
-    # Setting going, and stopping
+    # Starts and stops
 
-    def count_stop(self, motors: Iterable[int]) -> None:
-        """A stop is written for these motors: what waits for its turn must not set them going after it."""
-        self._stops_given.update(motors)
+    def record_stop(self, motors: Iterable[int]) -> None:
+        """Record a stop that is written for these motors: commands that wait for their turn must not start them
+        afterwards."""
+        self._stop_counts.update(motors)
 
-    def stops_given(self, motor: int) -> int:
-        """A number that every stop of this motor raises."""
-        return self._stops_given[motor]
+    def stop_count(self, motor: int) -> int:
+        """Return a number that every stop of this motor increments."""
+        return self._stop_counts[motor]
 
     def require_no_stop(self, axis: str, motor: int, since: int) -> None:
-        """Raises `CannotDo` when a stop has come since `stops_given` was `since`."""
-        if self._stops_given[motor] != since:
-            raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
+        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
+        if self._stop_counts[motor] != since:
+            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
 
-    async def set_going(self, command: str, axis: str, motor: int, since: int) -> None:
-        """Send a line that moves one motor, unless a stop has come since `stops_given` was `since`, or the unit has
-        begun anew: its position and its speeds are others then. Raises `CannotDo`; then nothing was sent."""
+    async def start_motion(self, command: str, axis: str, motor: int, since: int) -> None:
+        """Send a command that moves one motor, unless a stop has come since `stop_count` returned `since`, or the
+        controller has restarted: its position and its speeds differ then. Raises `Refusal`; then nothing was sent."""
         sent = False
 
-        def still() -> None:
+        def check_can_begin() -> None:
             nonlocal sent
             self.require_no_stop(axis, motor, since)
             if self.session.restarted:
-                raise CannotDo("not-started", f"the unit was restarted before axis {axis} began", "home it first")
+                raise Refusal("not-started", f"the unit was restarted before axis {axis} began", "home it first")
             sent = True
 
         try:
-            await self.session.say((command,), still=still)
+            await self.session.send_once((command,), before_send=check_can_begin)
         except BaseException:
-            # Cancelled, or without an answer: nobody would stop it any more.
+            # Cancelled or unanswered: no caller would stop it later.
             if sent:
                 with suppress(LinkClosed):
-                    self.brake([motor])
+                    self.brake_axes([motor])
             raise
 
-    def brake(self, motors: Iterable[int]) -> int:
-        """`q` to each, past everything else."""
+    def brake_axes(self, motors: Iterable[int]) -> int:
+        """Send `q` to each axis, bypassing everything else."""
         return self.write_stop(*(f"q{motor}" for motor in motors))
 
     def write_stop(self, *lines: str) -> int:
-        """Write on both connections: on the stop's own, because nothing is before it there; on the first, because
-        what was written there before must not be executed after the stop. Gives the instant. Raises `LinkClosed`."""
-        alone_ns = self.stopper.write(*lines)
+        """Write on both connections: on the one for stops, because nothing precedes it there; on the first, because
+        earlier commands there must not be executed after the stop. Return the instant. Raises `LinkClosed`."""
+        alone_ns = self.stopper.write_stop(*lines)
         try:
-            at_ns = self.session.interrupt(*lines)
+            at_ns = self.session.write_at_once(*lines)
         except LinkClosed:
             if alone_ns is None:
                 raise
@@ -179,7 +198,7 @@ class UnitState:
         return at_ns if alone_ns is None else alone_ns
 
     def require_enabled(self, names: Iterable[str]) -> None:
-        """Raises `CannotDo` for an axis that is switched off here; the unit itself has no such switch."""
+        """Raise `Refusal` for an axis that is disabled in the adapter; the controller itself has no such switch."""
         for name in names:
             if name not in self.enabled:
-                raise CannotDo("not-enabled", f"axis {name} is not enabled", f"enable {name} first")
+                raise Refusal("not-enabled", f"axis {name} is not enabled", f"enable {name} first")

@@ -1,4 +1,4 @@
-"""Axis letters: how the commands of the SHRC-203 name one axis or several (L3109-L3117)."""
+"""Axis letters: the notation of the SHRC-203's commands for one or several axes (L3109-L3117)."""
 
 from collections.abc import Iterable
 
@@ -16,6 +16,6 @@ _LETTERS: dict[tuple[int, ...], str] = {
 CONTROLLABLE = {"0": (1,), "1": (2,), "2": (3,), "3": (1, 2), "4": (1, 3), "5": (2, 3), "6": (1, 2, 3)}
 
 
-def letter(motors: Iterable[int]) -> str:
-    """The axis argument that names exactly `motors` (one to three of 1, 2, 3)."""
+def axis_argument(motors: Iterable[int]) -> str:
+    """Return the axis argument that denotes exactly `motors` (one to three of 1, 2, 3)."""
     return _LETTERS[tuple(sorted(set(motors)))]

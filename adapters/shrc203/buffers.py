@@ -1,87 +1,89 @@
-"""The unit's prebuffers: reading what is queued, and making it harmless.
+"""The controller's prebuffers: reading the queued moves, and making them harmless.
 
-No command deletes what is queued (L205): it is overwritten with a move of no distance. A standby (WT:, WI:) must
-never be cancelled before what is queued behind it is overwritten, because cancelling starts it (L215, L219).
+No command deletes a queued move (L205): it is overwritten with a move of no distance. An input or timed wait (WT:, WI:)
+must never be cancelled before the move queued after it is overwritten, because cancelling starts that move (L215,
+L219).
 """
 
-from adapters.contract import DriverFault
-from adapters.shrc203.axes import letter
-from adapters.shrc203.replies import NOT_SET, STATUS, amounts, entries, status
-from adapters.shrc203.session import Session
+from adapters.shrc203.axes import axis_argument
+from adapters.shrc203.replies import NOT_SET, STATUS, parse_entries, parse_status, pulse_list
+from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.status import ERRORS
+from orchestrator.model.errors import ControllerFault
 
 _TRIES = 2
 
 
-class Buffers:
-    """The prebuffers of the controllable axes of one unit."""
+class PrebufferControl:
+    """The prebuffers of the controllable axes of one controller."""
 
-    def __init__(self, session: Session, controllable: tuple[int, ...]) -> None:
+    def __init__(self, session: ShrcSession, controllable: tuple[int, ...]) -> None:
         self._session = session
         self._controllable = controllable
 
-    async def moves(self) -> dict[int, int | None]:
-        """The relative moves (MP:) that are queued, in pulses, by motor."""
-        return await self._queued("?:MPW")
+    async def read_moves(self) -> dict[int, int | None]:
+        """Return the queued relative moves (MP:), in pulses, by motor."""
+        return await self._read_queue("?:MPW")
 
-    async def waits(self) -> dict[int, int | None]:
-        """The input patterns (WI:) that are queued, by motor."""
-        return await self._queued("?:WIW")
+    async def read_waits(self) -> dict[int, int | None]:
+        """Return the queued input patterns (WI:), by motor."""
+        return await self._read_queue("?:WIW")
 
-    async def _queued(self, query: str) -> dict[int, int | None]:
-        found = entries(await self._session.ask(query, amounts(len(self._controllable))))
+    async def _read_queue(self, query: str) -> dict[int, int | None]:
+        found = parse_entries(await self._session.send_query(query, pulse_list(len(self._controllable))))
         return dict(zip(self._controllable, found, strict=True))
 
-    async def line(self) -> str:
-        """The linear interpolation (KP:) that is queued, as the unit words it; `NS` for none."""
-        return await self._session.ask("?:KP", NOT_SET)
+    async def read_interpolation(self) -> str:
+        """Return the queued linear interpolation (KP:) in the controller's notation; `NS` for none."""
+        return await self._session.send_query("?:KP", NOT_SET)
 
-    async def dangerous(self, besides: dict[int, int] | None = None, line: str = "NS") -> set[int]:
-        """Motors that a `G:` would move. besides: distances that are meant to be there, by motor; line: the same of an
-        interpolation."""
-        meant = besides or {}
-        found = {motor for motor, each in (await self.moves()).items() if (each or 0) != meant.get(motor, 0)}
+    async def find_dangerous(self, intended: dict[int, int] | None = None, interpolation: str = "NS") -> set[int]:
+        """Return the motors that a `G:` would move.
+
+        intended: intended distances, by motor. interpolation: the intended interpolation."""
+        meant = intended or {}
+        found = {motor for motor, each in (await self.read_moves()).items() if (each or 0) != meant.get(motor, 0)}
         for query in ("?:APW", "?:WTW", "?:WIW"):
-            found |= {motor for motor, each in (await self._queued(query)).items() if each is not None}
-        if await self._session.ask("?:EP", NOT_SET) != "NS" or await self.line() != line:
+            found |= {motor for motor, each in (await self._read_queue(query)).items() if each is not None}
+        if await self._session.send_query("?:EP", NOT_SET) != "NS" or await self.read_interpolation() != interpolation:
             found |= set(self._controllable)
         return found
 
-    async def clear(self, motors: set[int]) -> None:
-        """Overwrite what is queued on `motors`. Refused by the unit while their excitation is off."""
+    async def overwrite_moves(self, motors: set[int]) -> None:
+        """Overwrite the queued moves of `motors`. The controller refuses this while their excitation is off."""
         for each in sorted(motors):
-            await self._session.try_to_tell(f"MP:{each}+P0")
+            await self._session.try_setting(f"MP:{each}+P0")
 
     async def make_harmless(self, excited: dict[int, bool]) -> bool:
-        """See to it that nothing queued can move an axis. Never starts a move. Whether nothing is left there.
+        """Ensure that no queued move can move an axis, without starting one. Return whether the prebuffers are empty.
 
-        What is queued on an axis without excitation stays: it can not start (L4777, L4822), and is overwritten when the
-        motor is switched on. So does what is queued on an axis in an error, which takes nothing and does not start
-        before the error has been cleared. Raises `DriverFault` (code `still-armed`).
+        A queued move of an axis without excitation stays: it cannot start (L4777, L4822), and is overwritten when the
+        motor is switched on. So does a queued move of an axis in an error state, which accepts no command and does not
+        start before the error is cleared. Raises `ControllerFault` (code `still-armed`).
         """
         for _ in range(_TRIES):
-            found = {each for each in await self.dangerous() if excited.get(each, True)}
+            found = {each for each in await self.find_dangerous() if excited.get(each, True)}
             if not found:
                 return True
-            await self.clear(found)
-        found = {each for each in await self.dangerous() if excited.get(each, True)}
+            await self.overwrite_moves(found)
+        found = {each for each in await self.find_dangerous() if excited.get(each, True)}
         if not found:
             return True
-        now = status(await self._session.ask("Q:SPC", STATUS), self._controllable)
+        now = parse_status(await self._session.send_query("Q:SPC", STATUS), self._controllable)
         found -= {motor for motor, each in now.items() if each.word & ERRORS}
         if found:
-            raise DriverFault(
+            raise ControllerFault(
                 "still-armed",
-                f"the unit keeps a queued move on axis {letter(found)} although it was overwritten",
-                "switch the unit off and on",
+                f"the controller keeps a queued move on axis {axis_argument(found)} although it was overwritten",
+                "switch the controller off and on",
             )
         return False
 
-    async def end_standby(self, busy: set[int]) -> None:
-        """End standbys that somebody left on `busy` axes, without starting what is queued behind them."""
+    async def end_input_waits(self, busy: set[int]) -> None:
+        """End input waits left on `busy` axes, without starting the moves queued after them."""
         for each in sorted(busy):
-            await self._session.try_to_tell(f"MP:{each}+P0")
-            if (await self.moves())[each]:
+            await self._session.try_setting(f"MP:{each}+P0")
+            if (await self.read_moves())[each]:
                 continue  # not overwritten, as in a motor that is off: do not cancel
-            await self._session.try_to_tell(f"WI:{each},C")
-            await self._session.try_to_tell(f"WT:{each},0")
+            await self._session.try_setting(f"WI:{each},C")
+            await self._session.try_setting(f"WT:{each},0")

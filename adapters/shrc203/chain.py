@@ -1,9 +1,9 @@
-"""Chains of prebuffered moves: each begins by itself when the one before it has ended (L173-L181).
+"""Chains of prebuffered moves: each begins by itself when the previous one has ended (L173-L181).
 
-The unit keeps one move an axis besides the one that runs, and overwrites it without a word. So the loader is one
-completion ahead: when the completion line of move n comes, move n+1 has left the prebuffer and n+2 is written there.
-Every boundary is a full stop. A load that comes too late finds nothing running and is answered `OK` in place of
-`OK_D` (L235): the chain has run dry, which is said, and the move is started anew.
+The controller keeps one queued move per axis in addition to the running one, and overwrites it without notice. Loading
+is therefore one completion ahead: when the completion line of move n arrives, move n+1 has left the prebuffer and n+2
+is written there. Every boundary is a full stop. A load that comes too late finds no running move and is answered `OK`
+in place of `OK_D` (L235): this underrun is reported, and the waiting move is started again.
 """
 
 import asyncio
@@ -12,36 +12,46 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.contract import CannotDo
-from adapters.shrc203.axes import letter
-from adapters.shrc203.fleetaxes import bounds, motor
-from adapters.shrc203.replies import COMMAND, DONE, READY, REFUSALS, STATUS, AxisStatus, amounts, entries, status
-from adapters.shrc203.session import Line
+from adapters.shrc203.axes import axis_argument
+from adapters.shrc203.fleetaxes import axis_bounds, motor_number
+from adapters.shrc203.replies import (
+    COMMAND,
+    DONE,
+    READY,
+    REFUSALS,
+    STATUS,
+    AxisStatus,
+    parse_entries,
+    parse_status,
+    pulse_list,
+)
+from adapters.shrc203.session import ShrcLine
 from adapters.shrc203.standby import COMPLETION_LATE_NS
-from adapters.shrc203.status import ERRORS, why_stopped
-from adapters.shrc203.trapezoid import Trapezoid
-from adapters.shrc203.unitstate import UnitState
+from adapters.shrc203.status import ERRORS, stop_reason
+from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.shrc203.unitstate import ShrcState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Controller
 
-_LOOK_NS = 50 * NS_PER_MS
+_POLL_NS = 50 * NS_PER_MS
 _DEFERRED = "OK_D"
 _ROOM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class ChainMove:
-    """One move of a chain. distance: pulses, with its sign. shape: what the unit makes of it."""
+    """One move of a chain. distance: pulses, signed. shape: the trapezoid that the controller executes."""
 
     distance: int
-    shape: Trapezoid
+    shape: ShrcTrapezoid
 
 
 @dataclass(frozen=True, slots=True)
-class Underrun:
+class ChainUnderrun:
     """The axis stood still after its first `done` moves, because the next one came too late. at_ns: when that was
-    known."""
+    detected."""
 
     axis: str
     done: int
@@ -50,20 +60,27 @@ class Underrun:
 
 @dataclass(frozen=True, slots=True)
 class ChainReport:
-    """How a chain went. done: moves by axis. least_ahead_ns: the shortest time from the answer to a load to the end of
-    the move that ran meanwhile. reason: why it did not run to its end, "" if it did."""
+    """Result of a chain.
+
+    done: number of completed moves by axis.
+    least_ahead_ns: the shortest time from the reply to a load to the end of the move that was running.
+    reason: why the chain did not run to its end, "" if it did."""
 
     done: Mapping[str, int]
-    underruns: tuple[Underrun, ...]
+    underruns: tuple[ChainUnderrun, ...]
     least_ahead_ns: int | None
     reason: str = ""
 
 
 @dataclass(slots=True)
-class _Thread:
-    """One axis of a chain. loaded, done: so many of its moves have been written, and have ended. load: the answer to
-    the last one's line, which is `command`. speeds: of it. due_ns: when the running move has ended at the latest.
-    free: a completion line has said that the prebuffer is free."""
+class _ChainAxis:
+    """One axis of a chain.
+
+    loaded, done: number of moves that have been written, and that have ended.
+    load: the reply to the last load command, which is `command`.
+    speeds: the speeds of that command.
+    due_ns: the latest end of the running move.
+    free: a completion line has shown that the prebuffer is free."""
 
     name: str
     motor: int
@@ -72,18 +89,19 @@ class _Thread:
     loaded: int = 0
     done: int = 0
     speeds: str = ""
-    load: "asyncio.Future[Line] | None" = None
+    load: "asyncio.Future[ShrcLine] | None" = None
     command: str = ""
     due_ns: int = 0
     free: bool = False
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         return self.done == len(self.moves)
 
-    def line(self) -> str:
-        """Loads the next move. Its speeds are left out where they are those of the move before it, which runs or has
-        run with them: an omitted triple is the present one (L3098), and every move sets it (L3100)."""
+    def next_load_command(self) -> str:
+        """Return the command that loads the next move. Speeds are omitted where they equal those of the previous move,
+        which runs or has run with them: an omitted triple means the present one (L3098), and every move sets it
+        (L3100)."""
         move = self.moves[self.loaded]
         speeds = f"S{move.shape.s}F{move.shape.f}R{move.shape.r}"
         shown = f",{speeds}" if speeds != self.speeds else ""
@@ -91,55 +109,60 @@ class _Thread:
         self.loaded += 1
         return f"MP:{self.motor}{'-' if move.distance < 0 else '+'}P{abs(move.distance)}{shown}"
 
-    def place(self, done: int) -> int:
-        """Where the axis stands after so many moves."""
+    def position_after(self, done: int) -> int:
+        """Return the position of the axis after `done` moves."""
         return self.start + sum(each.distance for each in self.moves[:done])
 
 
-class Chain:
-    """A chain on one connection, whose unit is marked as `chaining` until it has run. say: told of every underrun.
-    clock_ppm: largest error of the unit's crystal."""
+class MoveChain:
+    """A chain on one connection, whose controller is marked as `chaining` until it has run. report_underrun: called
+    with the text of every underrun. clock_ppm: largest error of the controller's crystal."""
 
     def __init__(
-        self, config: Controller, clock: Clock, unit: UnitState, clock_ppm: float, say: Callable[[str], None]
+        self,
+        config: Controller,
+        clock: Clock,
+        unit: ShrcState,
+        clock_ppm: float,
+        report_underrun: Callable[[str], None],
     ) -> None:
         self._config = config
         self._clock = clock
         self._unit = unit
         self._slow = 1 + clock_ppm * 1e-6
-        self._say = say
-        self._threads: dict[int, _Thread] = {}
-        self._underruns: list[Underrun] = []
+        self._report_underrun = report_underrun
+        self._axes: dict[int, _ChainAxis] = {}
+        self._underruns: list[ChainUnderrun] = []
         self._least_ahead_ns: int | None = None
         self._reason = ""
         self._stops: dict[int, int] = {}
 
-    async def run(self, moves: Mapping[str, Sequence[ChainMove]]) -> ChainReport:
-        """Run the moves of each axis one after the other, all axes from one start.
+    async def run_moves(self, moves: Mapping[str, Sequence[ChainMove]]) -> ChainReport:
+        """Run the moves of each axis in sequence, all axes from a common start.
 
-        Raises `CannotDo` when nothing has begun. A chain that is stopped, or breaks, is a report with a reason.
+        Raises `Refusal` when no move has begun. A chain that is stopped, or breaks, returns a report with a reason.
         """
         unit = self._unit
         for name in moves:
-            number = motor(self._config.axes[name])
-            self._stops[number] = unit.stops_given(number)
+            number = motor_number(self._config.axes[name])
+            self._stops[number] = unit.stop_count(number)
         try:
             async with unit.loading:
-                await self._prepare(moves)
-                await self._start()
-            await self._follow()
+                await self._check_ready(moves)
+                await self._start_chain()
+            await self._follow_chain()
         except BaseException as error:
-            if not isinstance(error, CannotDo):
+            if not isinstance(error, Refusal):
                 unit.untidy = True
                 with suppress(LinkClosed):
-                    unit.brake(self._threads)
+                    unit.brake_motors(self._axes)
             raise
         finally:
-            unit.session.owe_nothing()
+            unit.session.expect_no_completion()
             unit.chaining = False
-        await self._judge()
+        await self._check_end()
         return ChainReport(
-            {each.name: each.done for each in self._threads.values()},
+            {each.name: each.done for each in self._axes.values()},
             tuple(self._underruns),
             self._least_ahead_ns,
             self._reason,
@@ -147,260 +170,262 @@ class Chain:
 
     # Before the start
 
-    async def _prepare(self, moves: Mapping[str, Sequence[ChainMove]]) -> None:
+    async def _check_ready(self, moves: Mapping[str, Sequence[ChainMove]]) -> None:
         unit, session = self._unit, self._unit.session
-        now = status(await session.ask("Q:SPC", STATUS), unit.controllable)
+        now = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
         for name, each in moves.items():
             axis = self._config.axes[name]
-            number = motor(axis)
-            if now[number].busy:
-                raise CannotDo("moving", f"axis {name} is moving", "wait, or stop it")
+            number = motor_number(axis)
+            if now[number].is_busy:
+                raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")
             if now[number].word & ERRORS:
-                raise CannotDo("fault", why_stopped(name, now[number]), "clear it with `tutti reset`")
-            check(name, axis, now[number].counts, each)
-            self._threads[number] = _Thread(name, number, now[number].counts, each)
-        unit.by_hand -= set(self._threads)
+                raise Refusal("fault", stop_reason(name, now[number]), "clear it with `tutti reset`")
+            check_chain(name, axis, now[number].counts, each)
+            self._axes[number] = _ChainAxis(name, number, now[number].counts, each)
+        unit.jogging_motors -= set(self._axes)
         await unit.make_harmless()
-        await session.tell(f"GC:{letter(self._threads)}")
+        await session.send_setting(f"GC:{axis_argument(self._axes)}")
 
-    async def _start(self) -> None:
-        """Load the first move of every axis, start them by one line, and load the second ones behind them."""
+    async def _start_chain(self) -> None:
+        """Load the first move of every axis, start them by one command, and load the second moves after them."""
         session = self._unit.session
         try:
-            for thread in self._threads.values():
-                line = thread.line()
-                text = await session.tell_and_hear(line)
+            for thread in self._axes.values():
+                line = thread.next_load_command()
+                text = await session.set_and_echo(line)
                 if text != line:
-                    raise CannotDo("load-garbled", f"sent {line!r}, the unit has understood {text!r}", "try again")
-            session.owe(set(self._threads), self._completed)
-            await session.tell(f"G:{letter(self._threads)}", self._require_no_stop)
-        except CannotDo:
-            session.owe_nothing()
+                    raise Refusal("load-garbled", f"sent {line!r}, the controller has understood {text!r}", "try again")
+            session.expect_completions(set(self._axes), self._handle_completion)
+            await session.send_setting(f"G:{axis_argument(self._axes)}", self._require_no_stop)
+        except Refusal:
+            session.expect_no_completion()
             await self._unit.make_harmless()
             raise
         now_ns = self._clock.now_ns()
-        for thread in self._threads.values():
+        for thread in self._axes.values():
             self._expect_end(thread, now_ns)
-            if thread.loaded == 1:  # a completion line may have been quicker
-                self._load(thread)
+            if thread.loaded == 1:  # a completion line may have arrived first
+                self._load_next(thread)
 
     def _require_no_stop(self) -> None:
-        for thread in self._threads.values():
+        for thread in self._axes.values():
             self._unit.require_no_stop(thread.name, thread.motor, self._stops[thread.motor])
 
     @property
-    def _stopped(self) -> bool:
-        return any(self._unit.stops_given(number) != since for number, since in self._stops.items())
+    def _is_stopped(self) -> bool:
+        return any(self._unit.stop_count(number) != since for number, since in self._stops.items())
 
-    # While it runs
+    # During the chain
 
-    def _completed(self, number: int, at_ns: int) -> None:
-        """A completion line: its axis has taken its next move over, and the prebuffer is free."""
-        thread = self._threads[number]
-        if thread.ended or self._stopped:
+    def _handle_completion(self, number: int, at_ns: int) -> None:
+        """Handle a completion line: its axis has begun the next move, and the prebuffer is free."""
+        thread = self._axes[number]
+        if thread.has_ended or self._is_stopped:
             return
         thread.done += 1
-        self._note_ahead(thread, at_ns)
+        self._record_ahead(thread, at_ns)
         self._expect_end(thread, at_ns)
         thread.free = True
-        self._go_on(thread)
+        self._continue_loading(thread)
 
-    def _note_ahead(self, thread: _Thread, at_ns: int) -> None:
-        if thread.ended or thread.load is None:
+    def _record_ahead(self, thread: _ChainAxis, at_ns: int) -> None:
+        if thread.has_ended or thread.load is None:
             return
-        ahead_ns = at_ns - thread.load.result().at_ns if _answered(thread.load) else 0
+        ahead_ns = at_ns - thread.load.result().at_ns if _is_answered(thread.load) else 0
         self._least_ahead_ns = ahead_ns if self._least_ahead_ns is None else min(self._least_ahead_ns, ahead_ns)
 
-    def _expect_end(self, thread: _Thread, begun_ns: int) -> None:
-        if not thread.ended:
+    def _expect_end(self, thread: _ChainAxis, begun_ns: int) -> None:
+        if not thread.has_ended:
             duration_s = thread.moves[thread.done].shape.duration_s
             thread.due_ns = begun_ns + ceil(duration_s * NS_PER_S * self._slow) + COMPLETION_LATE_NS
 
-    def _load(self, thread: _Thread) -> None:
+    def _load_next(self, thread: _ChainAxis) -> None:
         """Write the next move, if there is one, without waiting for anything."""
         thread.free = False
-        if thread.loaded < len(thread.moves) and not (self._stopped or self._reason):
-            thread.command = thread.line()
-            thread.load = self._unit.session.send(thread.command, DONE)
-            thread.load.add_done_callback(lambda _: self._go_on(thread))
+        if thread.loaded < len(thread.moves) and not (self._is_stopped or self._reason):
+            thread.command = thread.next_load_command()
+            thread.load = self._unit.session.send_command(thread.command, DONE)
+            thread.load.add_done_callback(lambda _: self._continue_loading(thread))
             self._read_back(thread)
 
-    def _read_back(self, thread: _Thread) -> None:
-        """Ask what the unit holds of the last loads, once the last of them is loaded; the answer is there before the
-        moves begin, or soon after. Distances only: a line with its speeds would take longer to tell than there is."""
+    def _read_back(self, thread: _ChainAxis) -> None:
+        """Query the contents of the last loads, after the last of them; the reply arrives before the moves begin, or
+        soon after. Only distances are queried: a command with its speeds would take too long to transmit."""
         if len(self._unit.controllable) == 1:
             # There a distance of a few pulses would read like a completion line.
-            name, command = thread.name, thread.command  # of now: the next one may be loaded before the answer
-            self._unit.session.send("?:CMD", COMMAND).add_done_callback(
+            # of the present load: the next one may be written before the reply
+            name, command = thread.name, thread.command
+            self._unit.session.send_command("?:CMD", COMMAND).add_done_callback(
                 lambda heard: self._compare_line(heard, name, command)
             )
-        elif all(each.load is None or _answered(each.load) for each in self._threads.values() if each is not thread):
-            meant = {number: each.moves[each.loaded - 1].distance for number, each in self._threads.items()}
-            self._unit.session.send("?:MPW", amounts(len(self._unit.controllable))).add_done_callback(
+        elif all(each.load is None or _is_answered(each.load) for each in self._axes.values() if each is not thread):
+            meant = {number: each.moves[each.loaded - 1].distance for number, each in self._axes.items()}
+            self._unit.session.send_command("?:MPW", pulse_list(len(self._unit.controllable))).add_done_callback(
                 lambda heard: self._compare_distances(heard, meant)
             )
 
-    def _compare_line(self, heard: "asyncio.Future[Line]", name: str, command: str) -> None:
-        if _told(heard) and heard.result().text.upper() != command:
-            self._halt(f"axis {name}: sent {command!r}, the unit has understood {heard.result().text!r}")
+    def _compare_line(self, heard: "asyncio.Future[ShrcLine]", name: str, command: str) -> None:
+        if _has_reply(heard) and heard.result().text.upper() != command:
+            self._halt_chain(f"axis {name}: sent {command!r}, the controller has understood {heard.result().text!r}")
 
-    def _compare_distances(self, heard: "asyncio.Future[Line]", meant: Mapping[int, int]) -> None:
-        """What has begun already, and left the prebuffer, is judged by where the axis comes to rest."""
-        if not _told(heard):
+    def _compare_distances(self, heard: "asyncio.Future[ShrcLine]", meant: Mapping[int, int]) -> None:
+        """Compare the loaded distances. A move that has already begun, and left the prebuffer, is checked by its final
+        position."""
+        if not _has_reply(heard):
             return
-        found = dict(zip(self._unit.controllable, entries(heard.result().text), strict=True))
+        found = dict(zip(self._unit.controllable, parse_entries(heard.result().text), strict=True))
         for number, distance in meant.items():
             if found[number] not in (None, distance):
-                self._halt(
-                    f"axis {self._threads[number].name}: {found[number]} pulses are loaded instead of {distance}"
+                self._halt_chain(
+                    f"axis {self._axes[number].name}: {found[number]} pulses are loaded instead of {distance}"
                 )
 
-    def _halt(self, reason: str) -> None:
-        self._break(reason)
-        self._unit.brake(self._threads)
+    def _halt_chain(self, reason: str) -> None:
+        self._break_chain(reason)
+        self._unit.brake_motors(self._axes)
         self._unit.session.changed.set()
 
-    def _go_on(self, thread: _Thread) -> None:
-        """Load the next move when the prebuffer is free. That takes a completion line, and that the last load was taken
-        in time: one that finds nothing running stays in the prebuffer, and must not be overwritten."""
+    def _continue_loading(self, thread: _ChainAxis) -> None:
+        """Load the next move when the prebuffer is free. This requires a completion line, and that the last load came
+        in time: a load without a running move stays in the prebuffer, and must not be overwritten."""
         self._unit.session.changed.set()
-        taken = thread.load is None or (_answered(thread.load) and thread.load.result().text == _DEFERRED)
+        taken = thread.load is None or (_is_answered(thread.load) and thread.load.result().text == _DEFERRED)
         if taken and thread.free:
-            self._load(thread)
+            self._load_next(thread)
 
-    async def _follow(self) -> None:
+    async def _follow_chain(self) -> None:
         session = self._unit.session
-        while not (self._reason or self._stopped or all(each.ended for each in self._threads.values())):
-            await session.wait_changed(self._clock.now_ns() + _LOOK_NS)
-            for thread in self._threads.values():
-                await self._judge_answer(thread)
-                if not thread.ended and self._clock.now_ns() > thread.due_ns:
-                    await self._look(thread)
-        if self._stopped:
+        while not (self._reason or self._is_stopped or all(each.has_ended for each in self._axes.values())):
+            await session.wait_changed(self._clock.now_ns() + _POLL_NS)
+            for thread in self._axes.values():
+                await self._handle_unusual_reply(thread)
+                if not thread.has_ended and self._clock.now_ns() > thread.due_ns:
+                    await self._check_overdue(thread)
+        if self._is_stopped:
             self._reason = "stopped on request"
         elif self._reason:
-            self._unit.brake(self._threads)
+            self._unit.brake_motors(self._axes)
 
-    async def _judge_answer(self, thread: _Thread) -> None:
-        """An answer to the last load that is not the usual one."""
+    async def _handle_unusual_reply(self, thread: _ChainAxis) -> None:
+        """Handle an unusual reply to the last load."""
         load = thread.load
         if load is None or not load.done():
             return
         if (error := load.exception()) is not None:
-            self._break(f"axis {thread.name}: {error}")
+            self._break_chain(f"axis {thread.name}: {error}")
         elif load.result().text in REFUSALS:
-            self._break(f"axis {thread.name}: the controller answered NG to {thread.command!r}")
+            self._break_chain(f"axis {thread.name}: the controller answered NG to {thread.command!r}")
         elif load.result().text != _DEFERRED:
-            await self._found_dry(thread)
+            await self._handle_underrun(thread)
 
-    async def _found_dry(self, thread: _Thread) -> None:
-        """`OK`: nothing ran any more when the load came. Units that answer so at any time are still busy."""
-        if not await self._busy(thread):
-            await self._restart(thread)
+    async def _handle_underrun(self, thread: _ChainAxis) -> None:
+        """Handle an `OK`: no move was running when the load came. Controllers that always answer so are still busy."""
+        if not await self._is_busy(thread):
+            await self._restart_load(thread)
         else:
             thread.load = None
-            self._go_on(thread)
+            self._continue_loading(thread)
 
-    async def _look(self, thread: _Thread) -> None:
-        """No completion line came when it should have. A line may have been lost; where the axis stands tells."""
-        if await self._busy(thread):
-            self._break(f"axis {thread.name} takes longer than it can over move {thread.done + 1}")
+    async def _check_overdue(self, thread: _ChainAxis) -> None:
+        """Check an overdue completion line: it may have been lost; the position of the axis shows that."""
+        if await self._is_busy(thread):
+            self._break_chain(f"axis {thread.name} exceeds the longest duration of move {thread.done + 1}")
             return
-        now = await self._now(thread)
-        done = next((n for n in range(thread.done, thread.loaded + 1) if thread.place(n) == now.counts), None)
+        now = await self._read_axis(thread)
+        done = next((n for n in range(thread.done, thread.loaded + 1) if thread.position_after(n) == now.counts), None)
         if done is None or now.word & ERRORS:
-            self._break(self._astray(thread, now))
+            self._break_chain(self._stray_text(thread, now))
         elif done < thread.loaded:
-            self._break(f"axis {thread.name} does not go on, although move {thread.loaded} is loaded")
+            self._break_chain(f"axis {thread.name} does not continue, although move {thread.loaded} is loaded")
         else:
             thread.done, thread.free = done, True
             self._expect_end(thread, self._clock.now_ns())
-            self._go_on(thread)
+            self._continue_loading(thread)
 
-    async def _restart(self, thread: _Thread) -> None:
-        """The last load waits for somebody to start it, if its axis has done all before it."""
+    async def _restart_load(self, thread: _ChainAxis) -> None:
+        """Start the last load, if its axis has completed all moves before it."""
         waiting = thread.loaded
-        now = await self._now(thread)
-        if now.counts != thread.place(waiting - 1) or now.word & ERRORS:
-            self._break(self._astray(thread, now))
+        now = await self._read_axis(thread)
+        if now.counts != thread.position_after(waiting - 1) or now.word & ERRORS:
+            self._break_chain(self._stray_text(thread, now))
             return
         thread.done = waiting - 1
-        self._underruns.append(Underrun(thread.name, thread.done, self._clock.now_ns()))
-        self._say(
-            f"axis {thread.name} ran out of moves after {thread.done} of {len(thread.moves)}: move {waiting} came too "
-            "late; it is started anew"
+        self._underruns.append(ChainUnderrun(thread.name, thread.done, self._clock.now_ns()))
+        self._report_underrun(
+            f"axis {thread.name} ran out of moves after {thread.done} of {len(thread.moves)}: move "
+            f"{waiting} came too late; it is started again"
         )
         try:
-            await self._unit.session.tell(f"G:{thread.motor}", self._require_no_stop)
-        except CannotDo as error:
-            self._break(f"axis {thread.name}: {error}")
+            await self._unit.session.send_setting(f"G:{thread.motor}", self._require_no_stop)
+        except Refusal as error:
+            self._break_chain(f"axis {thread.name}: {error}")
             return
         self._expect_end(thread, self._clock.now_ns())
         thread.load = None
-        self._load(thread)
+        self._load_next(thread)
 
-    async def _now(self, thread: _Thread) -> AxisStatus:
-        return status(await self._unit.session.ask("Q:SPC", STATUS), self._unit.controllable)[thread.motor]
+    async def _read_axis(self, thread: _ChainAxis) -> AxisStatus:
+        return parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)[thread.motor]
 
-    def _astray(self, thread: _Thread, now: AxisStatus) -> str:
-        return why_stopped(thread.name, now) or (
-            f"axis {thread.name} stands at {now.counts}, between the places of its chain"
+    def _stray_text(self, thread: _ChainAxis, now: AxisStatus) -> str:
+        return stop_reason(thread.name, now) or (
+            f"axis {thread.name} is at {now.counts}, between the positions of its chain"
         )
 
-    async def _busy(self, thread: _Thread) -> bool:
-        return await self._unit.session.ask(f"!:{thread.motor}S", READY) == "B"
+    async def _is_busy(self, thread: _ChainAxis) -> bool:
+        return await self._unit.session.send_query(f"!:{thread.motor}S", READY) == "B"
 
-    def _break(self, reason: str) -> None:
+    def _break_chain(self, reason: str) -> None:
         self._reason = self._reason or reason
 
     # After the end
 
-    async def _judge(self) -> None:
-        """Where the axes have come to rest, and that nothing is left behind."""
+    async def _check_end(self) -> None:
+        """Check the final positions of the axes, and that no move is left in the prebuffers."""
         unit = self._unit
         give_up_ns = self._clock.now_ns() + 2 * NS_PER_S
         while True:
-            now = status(await unit.session.ask("Q:SPC", STATUS), unit.controllable)
-            if not any(now[number].busy for number in self._threads) or self._clock.now_ns() > give_up_ns:
+            now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
+            if not any(now[number].is_busy for number in self._axes) or self._clock.now_ns() > give_up_ns:
                 break
-        for number, thread in self._threads.items():
-            if not self._reason and now[number].counts != thread.place(thread.done):
-                self._reason = why_stopped(thread.name, now[number]) or (
-                    f"axis {thread.name} stands at {now[number].counts}, not at {thread.place(thread.done)}"
+        for number, thread in self._axes.items():
+            if not self._reason and now[number].counts != thread.position_after(thread.done):
+                self._reason = stop_reason(thread.name, now[number]) or (
+                    f"axis {thread.name} is at {now[number].counts}, not at {thread.position_after(thread.done)}"
                 )
-        if any(now[number].word & ERRORS for number in self._threads):
-            unit.untidy = True  # an emergency stop lets nothing be overwritten, and nothing start
+        if any(now[number].word & ERRORS for number in self._axes):
+            unit.untidy = True  # in an emergency stop nothing can be overwritten, and nothing starts
             return
         async with unit.loading:
             await unit.make_harmless()
 
 
-def _answered(load: "asyncio.Future[Line]") -> bool:
+def _is_answered(load: "asyncio.Future[ShrcLine]") -> bool:
     return load.done() and load.exception() is None
 
 
-def _told(query: "asyncio.Future[Line]") -> bool:
-    """Whether there is an answer; a query that was garbled on its way is refused."""
-    return _answered(query) and query.result().text not in REFUSALS
+def _has_reply(query: "asyncio.Future[ShrcLine]") -> bool:
+    """Return whether a reply has arrived; a query that was garbled in transit is refused."""
+    return _is_answered(query) and query.result().text not in REFUSALS
 
 
-def check(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -> None:
-    """Raises `CannotDo` for a chain with a move that goes beyond the axis's limits, or is none."""
-    limits, soft = bounds(axis), axis.soft_limits_counts
+def check_chain(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -> None:
+    """Raise `Refusal` for a chain with an empty move or a move that exceeds the axis's limits."""
+    limits, soft = axis_bounds(axis), axis.soft_limits_counts
     place = start
     for number, move in enumerate(moves, 1):
         shape = move.shape
         if move.distance == 0 or abs(move.distance) != shape.distance:
-            raise CannotDo(
-                "bad-move", f"axis {name}, move {number}: {move.distance} pulses by a shape of {shape.distance}"
+            raise Refusal(
+                "bad-move", f"axis {name}, move {number}: {move.distance} pulses with a shape of {shape.distance}"
             )
-        if shape.peak > limits.speed * (1 + _ROOM) or not limits.start_min <= shape.s <= limits.start_max:
-            raise CannotDo("velocity-limit", f"axis {name}, move {number}: {shape} is beyond its speed or start rate")
+        if shape.peak_speed > limits.speed * (1 + _ROOM) or not limits.start_min <= shape.s <= limits.start_max:
+            raise Refusal("velocity-limit", f"axis {name}, move {number}: {shape} exceeds its speed or start rate")
         if shape.acceleration > limits.acceleration * (1 + _ROOM):
-            raise CannotDo("acceleration-limit", f"axis {name}, move {number}: {shape} is beyond its acceleration")
+            raise Refusal("acceleration-limit", f"axis {name}, move {number}: {shape} exceeds its acceleration")
         place += move.distance
         if soft is not None and not soft[0] <= place <= soft[1]:
-            raise CannotDo(
+            raise Refusal(
                 "soft-limit",
                 f"axis {name}, move {number} ends at {place} pulses; its soft limits are {soft[0]} to {soft[1]}",
             )

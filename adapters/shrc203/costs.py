@@ -1,11 +1,11 @@
-"""What arming, disarming and stopping take at the most, from characters on the wire and the unit's decoding."""
+"""Upper bounds of arming, disarming and stopping, from transmitted characters and the controller's decoding time."""
 
-from adapters.shrc203.options import Options
+from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.standby import COMPLETION_LATE_NS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
-# Characters out and in, with CR LF, at their longest for three axes; exchanges.
+# Sent and received characters, with CR LF, at their longest for three axes; exchanges.
 _CHECK = (7 + 90, 1)  # Q:SPC
 _BUFFERS = (6 * 7 + 2 * 36 + 2 * 16 + 2 * 6, 6)  # ?:MPW ?:APW ?:WTW ?:WIW ?:EP ?:KP
 _LOAD = (120 + 6 + 7 + 125 + 7 + 6, 3)  # MP:, ?:CMD, GC:
@@ -18,8 +18,8 @@ _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _RAMP_MAX_NS = NS_PER_S  # R is 1000 ms at the most (L3157), and a stop uses the ramp of the move
 
 
-def costs(options: Options, char_ns: int, line: bool = False) -> Costs:
-    """Bounds in ns for links with this character time. line: of a step with a wired line."""
+def step_costs(options: ShrcOptions, char_ns: int, line: bool = False) -> StepCosts:
+    """Return upper bounds in ns for links with this character time. line: for a step with a trigger line."""
     exchange_ns = (options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us) * NS_PER_US + _HOST_NS
 
     def take_ns(*parts: tuple[int, int]) -> int:
@@ -27,7 +27,7 @@ def costs(options: Options, char_ns: int, line: bool = False) -> Costs:
 
     standby = (_STANDBY, _CHECK, _CHECK, _OUTPUT) if line else ()
     release = (_RELEASE, _CHECK, _CHECK, _CHECK, _OUTPUT) if line else ()
-    return Costs(
+    return StepCosts(
         arm_ns=take_ns(_LOAD, _BUFFERS, _CHECK, *standby),
         disarm_ns=take_ns(_BUFFERS, _CLEAR, _BUFFERS, *release) + (COMPLETION_LATE_NS if line else 0),
         stop_ns=_LONGEST_LINE * char_ns + exchange_ns + _RAMP_MAX_NS,

@@ -1,35 +1,35 @@
-"""The controller's part of the fleet file in the unit's own terms: motors, pulses, limits in pulses per second."""
+"""The fleet file's part in the controller's own terms: motors, pulses, limits in pulses per second."""
 
 from math import ceil, floor
 from typing import Literal
 
-from adapters.shrc203.trapezoid import Bounds
+from adapters.shrc203.trapezoid import ShrcBounds
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.units import Unit
 
 METHODS = {"default": "", "mark": "0", "mini": "1", "middle": "2", "orgs": "3", "normal": "4"}  # L2739-L2790
 INPUTS = OUTPUTS = range(1, 7)  # L1607-L1643
 _MM_PER_UNIT = {Unit.M: 1e3, Unit.CM: 10.0, Unit.MM: 1.0, Unit.UM: 1e-3, Unit.NM: 1e-6, Unit.INCH: 25.4}
-# Without `start_rate` the motor starts at no more than this part of its speed limit.
+# Without `start_rate` the motor starts at no more than this fraction of its speed limit.
 _SMALL_START = 0.01
 
 
-def motor(axis: Axis) -> int:
+def motor_number(axis: Axis) -> int:
     return int(axis.motors[0])
 
 
-def motors(config: Controller) -> dict[str, int]:
-    """Motor numbers by axis name."""
-    return {name: motor(axis) for name, axis in config.axes.items()}
+def motor_numbers(config: Controller) -> dict[str, int]:
+    """Return motor numbers by axis name."""
+    return {name: motor_number(axis) for name, axis in config.axes.items()}
 
 
-def bounds(axis: Axis) -> Bounds:
-    """Limits in pulses."""
+def axis_bounds(axis: Axis) -> ShrcBounds:
+    """Return an axis's limits in pulses."""
     scale = float(axis.scale)
     speed = axis.limits.velocity * scale * (1 + 1e-9)
     start = axis.start_rate
     low, high = (start.min, start.max) if start is not None else (0.0, axis.limits.velocity * _SMALL_START)
-    return Bounds(
+    return ShrcBounds(
         speed=speed,
         acceleration=axis.limits.acceleration * scale,
         start_min=max(1, ceil(low * scale)),
@@ -38,7 +38,8 @@ def bounds(axis: Axis) -> Bounds:
 
 
 def expected_nm(axis: Axis, given: float | None) -> float | None:
-    """What one pulse must be, nm: the option, or from the scale of an axis in a unit of length; None: not known."""
+    """Return the required length of one pulse, nm: from the option, or from the scale of an axis with a unit of length;
+    None: unknown."""
     if given is not None:
         return given
     mm = _MM_PER_UNIT.get(axis.unit)
@@ -46,8 +47,8 @@ def expected_nm(axis: Axis, given: float | None) -> float | None:
 
 
 def homing_triple(axis: Axis) -> tuple[int, int, int]:
-    """S, F (pls/s) and the least R (ms) for the origin return."""
-    limits, homing, scale = bounds(axis), axis.homing, float(axis.scale)
+    """Return S, F (pls/s) and the smallest R (ms) for the origin return."""
+    limits, homing, scale = axis_bounds(axis), axis.homing, float(axis.scale)
     f = floor((homing.speed if homing.speed is not None else axis.limits.velocity / 10) * scale)
     f = max(1, min(f, floor(limits.speed)))
     s = max(1, min(f, floor(homing.search_speed * scale) if homing.search_speed is not None else limits.start_min))
@@ -55,7 +56,7 @@ def homing_triple(axis: Axis) -> tuple[int, int, int]:
 
 
 def limit_of(word: int, cw: str) -> Literal["none", "forward", "reverse", "both"]:
-    """The limit sensors in a status word (bits 20 and 21, L553-L556)."""
+    """Return the active limit sensors of a status word (bits 20 and 21, L553-L556)."""
     on_cw, on_ccw = bool(word & 1 << 19), bool(word & 1 << 20)
     if on_cw and on_ccw:
         return "both"
@@ -64,13 +65,13 @@ def limit_of(word: int, cw: str) -> Literal["none", "forward", "reverse", "both"
     return "forward" if on_cw == (cw == "forward") else "reverse"
 
 
-def check(config: Controller) -> None:
-    """Offline check of the fleet file. Raises `ValueError`."""
-    if config.shares:
-        raise ValueError("link.unit: an SHRC-203 has no address, and a port for itself; leave it out")
+def check_fleet(config: Controller) -> None:
+    """Check the fleet file offline. Raises `ValueError`."""
+    if config.shares_port:
+        raise ValueError("link.address: an SHRC-203 has no address, and needs a port of its own; remove it")
     for name, axis in config.axes.items():
         if axis.motors[0] not in ("1", "2", "3"):
-            raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is no motor; allowed: '1', '2', '3'")
+            raise ValueError(f"axes.{name}.motors: {axis.motors[0]!r} is not a motor; allowed: '1', '2', '3'")
         if axis.homing.method not in METHODS:
             raise ValueError(
                 f"axes.{name}.homing.method: {axis.homing.method!r} is unknown; allowed: {', '.join(METHODS)}"
@@ -80,7 +81,7 @@ def check(config: Controller) -> None:
                 f"axes.{name}.limits.velocity: {axis.limits.velocity:g} {axis.unit}/s is below the controller's "
                 f"lowest speed of one pulse per second"
             )
-        limits = bounds(axis)
+        limits = axis_bounds(axis)
         if limits.start_min > limits.start_max or limits.start_min > limits.speed:
             raise ValueError(
                 f"axes.{name}.start_rate: no whole number of pulses per second lies between its min and its max, "

@@ -1,18 +1,21 @@
-"""Wired lines of a step in the unit's own terms: the input that starts it, the output that it drives."""
+"""Trigger lines of a step in the controller's own terms: the input that starts it, the output that it drives."""
 
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.shrc203.options import Options
+from adapters.shrc203.options import ShrcOptions
 from adapters.toolkit import wired_points as points
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineDrive, LineWait, Term
+from orchestrator.model.messages import BudgetTerm, TriggerDrive, TriggerWait
 
 
 @dataclass(frozen=True, slots=True)
-class Wait:
-    """The input that starts a move. active: whether it is ON then. The edge is there in the window about T0, in ns."""
+class InputTrigger:
+    """The input that starts a move.
+
+    active: the level that starts it (True = ON).
+    earliest_ns, latest_ns: window of the edge relative to T0."""
 
     name: str
     number: int
@@ -21,61 +24,65 @@ class Wait:
     latest_ns: int
 
     @property
-    def bit(self) -> int:
-        """Its place in the value of all six (L5274-L5304)."""
+    def input_bit(self) -> int:
+        """The bit of this input in the value of all six (L5274-L5304)."""
         return 1 << (self.number - 1)
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
-    """The output that is switched at T0. active: whether it is ON then; for `hold_ns` at least."""
+class OutputTrigger:
+    """The output that is switched at T0.
+
+    active: its level from T0 on (True = ON).
+    active_ns: shortest duration of that level."""
 
     name: str
     number: int
     active: bool
-    hold_ns: int
+    active_ns: int
 
     @property
-    def bit(self) -> int:
-        """Its place in the value of all six (L5327-L5357)."""
+    def output_bit(self) -> int:
+        """The bit of this output in the value of all six (L5327-L5357)."""
         return 1 << (self.number - 1)
 
-    def value(self, outputs: int, active: bool) -> int:
-        """What to send for all six when the others stay as in `outputs`."""
-        return outputs | self.bit if active == self.active else outputs & ~self.bit
+    def outputs_with(self, outputs: int, active: bool) -> int:
+        """Return the value for all six outputs that leaves the others as in `outputs`."""
+        return outputs | self.output_bit if active == self.active else outputs & ~self.output_bit
 
     def is_active(self, outputs: int) -> bool:
-        return bool(outputs & self.bit) == self.active
+        return bool(outputs & self.output_bit) == self.active
 
 
-def waited_for(config: Controller, wait: LineWait) -> Wait:
-    """Raises `CannotDo` for an input that the fleet file does not name."""
-    point = points.waited_for(config, wait)
-    return Wait(wait.input, point.number, point.active == "high", wait.earliest_ns, wait.latest_ns)
+def resolve_wait_input(config: Controller, wait: TriggerWait) -> InputTrigger:
+    """Return the input to wait for. Raises `Refusal` for an input that the fleet file does not name."""
+    point = points.find_wait_input(config, wait)
+    return InputTrigger(wait.input, point.number, point.active == "high", wait.earliest_ns, wait.latest_ns)
 
 
-def driven(config: Controller, drive: LineDrive) -> Drive:
-    """Raises `CannotDo` for an output that the fleet file does not name."""
-    point = points.driven(config, drive)
-    return Drive(drive.output, point.number, point.active == "high", drive.hold_ns)
+def resolve_driven_output(config: Controller, drive: TriggerDrive) -> OutputTrigger:
+    """Return the output to drive. Raises `Refusal` for an output that the fleet file does not name."""
+    point = points.find_driven_output(config, drive)
+    return OutputTrigger(drive.output, point.number, point.active == "high", drive.active_ns)
 
 
-def waiting_terms(options: Options, wait: Wait) -> tuple[Term, ...]:
-    """Where the start lies about T0: the line's window, the unit's next look at its inputs, and what it does then."""
+def waiting_terms(options: ShrcOptions, wait: InputTrigger) -> tuple[BudgetTerm, ...]:
+    """Return the terms of the start relative to T0: the trigger line's window, the controller's next scan of its
+    inputs, and its reaction."""
     scan_ns = ceil(options.input_scan_us * NS_PER_US * (1 + options.clock_ppm * 1e-6))
     return (
-        Term(name="line", earliest_ns=wait.earliest_ns, latest_ns=wait.latest_ns),
-        Term(name="input", earliest_ns=0, latest_ns=scan_ns),
-        Term(name="firmware", earliest_ns=0, latest_ns=options.line_start_us * NS_PER_US),
+        BudgetTerm(name="line", earliest_ns=wait.earliest_ns, latest_ns=wait.latest_ns),
+        BudgetTerm(name="input", earliest_ns=0, latest_ns=scan_ns),
+        BudgetTerm(name="firmware", earliest_ns=0, latest_ns=options.line_start_us * NS_PER_US),
     )
 
 
-def edge_terms(options: Options, lead_ns: int, behind_ns: int) -> tuple[Term, ...]:
-    """Where the edge of a driven line lies about T0.
+def edge_terms(options: ShrcOptions, lead_ns: int, behind_ns: int) -> tuple[BudgetTerm, ...]:
+    """Return the terms of the edge of a driven trigger line relative to T0.
 
-    lead_ns: how long before it the line that is written first is at the unit. behind_ns: how long the line that
-    switches it takes on the wire behind the starting line, 0 when it is fired alone. Behind another one it is decoded
-    when it has come, and when that one is done.
+    lead_ns: how long before T0 the first command reaches the controller. behind_ns: transmission time of the switching
+    command after the starting command, 0 when it is sent alone. After another command it is decoded once it has arrived
+    and that command is done.
     """
     slow_ns = (options.decode_us + options.decode_spread_us) * NS_PER_US
     quick_ns = max(0, options.decode_us - options.decode_spread_us) * NS_PER_US
@@ -84,6 +91,6 @@ def edge_terms(options: Options, lead_ns: int, behind_ns: int) -> tuple[Term, ..
         quick_ns += max(behind_ns, quick_ns)
     return (
         options.host_term(),
-        Term(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
-        Term(name="firmware", earliest_ns=quick_ns - lead_ns, latest_ns=slow_ns - lead_ns),
+        BudgetTerm(name="wire", earliest_ns=0, latest_ns=options.wire_jitter_us * NS_PER_US),
+        BudgetTerm(name="firmware", earliest_ns=quick_ns - lead_ns, latest_ns=slow_ns - lead_ns),
     )

@@ -1,18 +1,18 @@
-"""The make: what the entry point names."""
+"""The make for the entry point."""
 
 from pydantic import BaseModel
 
-from adapters.contract import Setup
+from adapters.contract import DriverSetup
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.driver import ShrcDriver
-from adapters.shrc203.options import Options
+from adapters.shrc203.options import ShrcOptions
 from orchestrator.model.fleet import Controller
 
 
-class Shrc203:
+class Shrc203Make:
     """OptoSigma SHRC-203 in command format SHOT/FC, over a serial port or a TCP bridge to one.
 
-    The direction of an origin return is the unit's own (memory switch ORG): `homing.direction` has no effect.
+    The direction of an origin return is set in the controller (memory switch ORG): `homing.direction` has no effect.
     """
 
     @property
@@ -20,23 +20,24 @@ class Shrc203:
         return "shrc203"
 
     @property
-    def options(self) -> type[BaseModel]:
-        return Options
+    def options_model(self) -> type[BaseModel]:
+        return ShrcOptions
 
-    def check(self, config: Controller) -> None:
-        fleetaxes.check(config)
+    def check_config(self, config: Controller) -> None:
+        fleetaxes.check_fleet(config)
 
-    def driver(self, setup: Setup) -> ShrcDriver:
+    def create_driver(self, setup: DriverSetup) -> ShrcDriver:
         options = setup.options
-        assert isinstance(options, Options)
+        assert isinstance(options, ShrcOptions)
         return ShrcDriver(setup, options)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """End what is half-typed; stop all, then each axis, because the first is refused where a motor is off.
+        """Return bytes that end a half-typed command and stop all axes, then each axis, because the first is refused
+        where a motor is off.
 
-        A move may wait for an input, or behind another one: it is overwritten first, because what `L:` makes of that is
-        not said (L2955).
+        A move may wait for an input, or for another move: it is overwritten first, because the manual does not state
+        what `L:` does with it (L2955).
         """
-        motors = sorted(fleetaxes.motors(config).values())
+        motors = sorted(fleetaxes.motor_numbers(config).values())
         waiting = [f"MP:{motor}+P0" for motor in motors]
         return "".join(f"{line}\r\n" for line in ("", *waiting, "L:W", *(f"L:{motor}" for motor in motors))).encode()

@@ -1,76 +1,81 @@
-"""One poll: coordinates and status words in one line, and what may be asked beside it.
+"""One poll: coordinates and status words in one exchange, and further queries where possible.
 
-Queries that may be answered by a bare digit are left out while a completion is owed: their last values are given again.
+Queries that may be answered by a bare digit are omitted while a completion is outstanding: their last values are
+repeated.
 """
 
-from adapters.contract import AxisReading, Reading, Restarted
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.options import Options
-from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flags, status
-from adapters.shrc203.status import ERRORS, faults, lost
-from adapters.shrc203.unitstate import UnitState
+from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.replies import BITS, STATUS, AxisStatus, flag_list, parse_status
+from adapters.shrc203.status import ERRORS, is_position_lost, status_faults
+from adapters.shrc203.unitstate import ShrcState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.fleet import Controller
-from orchestrator.model.state import Fault
+from orchestrator.model.state import FaultReport
 
-_COMPLETION_LATE_NS = 100 * NS_PER_MS  # after the rest of an axis no completion line comes any more
+# this long after an axis has come to rest its completion line can no longer arrive
+_COMPLETION_LATE_NS = 100 * NS_PER_MS
 
 
-class Poller:
-    """Reads the unit's state. Costs `Q:SPC` and the sentinel, `?:CW`, and `I:` and `?:O` where they are named."""
+class ShrcPoller:
+    """Read the controller's state. Costs `Q:SPC` and the sentinel, `?:CW`, and `I:` and `?:O` where points are
+    named."""
 
-    def __init__(self, config: Controller, options: Options, clock: Clock, unit: UnitState) -> None:
+    def __init__(self, config: Controller, options: ShrcOptions, clock: Clock, unit: ShrcState) -> None:
         self._config = config
         self._options = options
         self._clock = clock
         self._unit = unit
-        self._motors = fleetaxes.motors(config)
+        self._motors = fleetaxes.motor_numbers(config)
         self._last: dict[int, AxisStatus] = {}
         self._last_ns = 0
         self._rest_ns: int | None = None
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
-    async def poll(self) -> Reading:
+    async def poll_state(self) -> ControllerReading:
         unit, session = self._unit, self._unit.session
-        line = await session.ask_line("Q:SPC", STATUS)
-        # Behind it: what it has said is true of axes that still know where they are.
+        line = await session.query_line("Q:SPC", STATUS)
+        # After the poll: a passed restart check makes the poll's values valid.
         if await unit.is_restarted():
-            raise Restarted()
-        now = status(line.text, unit.controllable)
+            raise ControllerRestarted()
+        now = parse_status(line.text, unit.controllable)
         if unit.timing is not None:
-            unit.timing.looked("Q:SPC", line, now)
+            unit.timing.add_reading("Q:SPC", line, now)
         actual = now
         if any(unit.closed_loop.values()):
-            scales = status(await session.ask("Q:SPE", STATUS), unit.controllable)
+            scales = parse_status(await session.send_query("Q:SPE", STATUS), unit.controllable)
             actual = {m: scales[m] if unit.closed_loop.get(m) else each for m, each in now.items()}
-        busy = {motor for motor, each in now.items() if each.busy}
-        self._forgive(busy, line.at_ns)
-        waiting = {motor for motor, counts in unit.waiting.items() if now[motor].busy and now[motor].counts == counts}
-        if busy <= unit.by_hand | waiting:
-            await self._ask_digits()
-        found: list[Fault] = []
+        busy = {motor for motor, each in now.items() if each.is_busy}
+        self._drop_completions(busy, line.at_ns)
+        waiting = {
+            motor for motor, counts in unit.waiting.items() if now[motor].is_busy and now[motor].counts == counts
+        }
+        if busy <= unit.jogging_motors | waiting:
+            await self._query_digits()
+        found: list[FaultReport] = []
         axes: dict[str, AxisReading] = {}
         elapsed_s = (line.at_ns - self._last_ns) / NS_PER_S
         for name, motor in self._motors.items():
             axis, old = now[motor], self._last.get(motor)
-            moved = axis.counts - old.counts if old is not None and axis.busy and elapsed_s > 0 else 0
+            moved = axis.counts - old.counts if old is not None and axis.is_busy and elapsed_s > 0 else 0
             excited = unit.excited.get(motor, False)
             axes[name] = AxisReading(
                 commanded_counts=axis.counts,
                 actual_counts=float(actual[motor].counts),
                 velocity_counts_s=moved / elapsed_s if moved else 0.0,
-                moving=axis.busy and motor not in waiting,
+                moving=axis.is_busy and motor not in waiting,
                 enabled=excited,
                 limit=fleetaxes.limit_of(axis.word, self._options.cw),
-                lost=lost(axis.word, excited, unit.closed_loop.get(motor, False)),
+                position_lost=is_position_lost(axis.word, excited, unit.closed_loop.get(motor, False)),
             )
-            found += faults(name, axis.word)
+            found += status_faults(name, axis.word)
         unit.sound = not any(each.word & ERRORS for each in now.values())
         self._last, self._last_ns = now, line.at_ns
-        if session.owed - busy:
-            session.changed.set()  # at rest without a completion line: whoever waits for it shall look
-        return Reading(
+        if session.expected_completions - busy:
+            session.changed.set()  # at rest without a completion line: wake the waiting task, which then queries
+        return ControllerReading(
             at_ns=line.at_ns,
             axes=axes,
             inputs=dict(self._inputs),
@@ -78,28 +83,28 @@ class Poller:
             faults=found,
         )
 
-    def _forgive(self, busy: set[int], at_ns: int) -> None:
-        """Completions that nobody waits for are not waited for here either, once their axes have been at rest."""
+    def _drop_completions(self, busy: set[int], at_ns: int) -> None:
+        """Drop outstanding completions that no task awaits, once their axes have been at rest."""
         session = self._unit.session
-        if not session.abandoned or session.owed & busy:
+        if not session.abandoned or session.expected_completions & busy:
             self._rest_ns = None
         elif self._rest_ns is None:
             self._rest_ns = at_ns
         elif at_ns - self._rest_ns > _COMPLETION_LATE_NS:
-            session.owe_nothing()
+            session.expect_no_completion()
 
-    async def _ask_digits(self) -> None:
+    async def _query_digits(self) -> None:
         unit = self._unit
-        answer = await unit.session.ask_digits("?:CW", flags(len(unit.controllable)))
+        answer = await unit.session.query_digit("?:CW", flag_list(len(unit.controllable)))
         if answer is not None:
             unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
-        if self._config.inputs and (answer := await unit.session.ask_digits("I:", BITS)) is not None:
-            self._inputs = bits(int(answer))
-        if self._config.outputs and (answer := await unit.session.ask_digits("?:O", BITS)) is not None:
+        if self._config.inputs and (answer := await unit.session.query_digit("I:", BITS)) is not None:
+            self._inputs = point_levels(int(answer))
+        if self._config.outputs and (answer := await unit.session.query_digit("?:O", BITS)) is not None:
             unit.outputs = int(answer)
-            self._outputs = bits(unit.outputs)
+            self._outputs = point_levels(unit.outputs)
 
 
-def bits(value: int) -> dict[int, bool]:
-    """Inputs or outputs by number: the first is 1, the second 2, the third 4 (L5274-L5304)."""
+def point_levels(value: int) -> dict[int, bool]:
+    """Return inputs or outputs by number: the first is 1, the second 2, the third 4 (L5274-L5304)."""
     return {number: bool(value & 1 << (number - 1)) for number in fleetaxes.INPUTS}

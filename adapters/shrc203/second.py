@@ -1,43 +1,43 @@
-"""The second of two moves: loaded behind the first one while that runs, which the unit then begins by itself (L179)."""
+"""The follow-up move: loaded while the first move runs; the controller then begins it by itself (L179)."""
 
 from collections.abc import Callable
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.shrc203.lowering import AxisMove, ShrcLowered
-from adapters.shrc203.replies import STATUS, status
-from adapters.shrc203.status import why_stopped
-from adapters.shrc203.unitstate import UnitState
+from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
+from adapters.shrc203.replies import STATUS, parse_status
+from adapters.shrc203.status import stop_reason
+from adapters.shrc203.unitstate import ShrcState
+from orchestrator.model.errors import ControllerFault, Refusal
 
-_TRIES = 2  # a line that went wrong on its way is overwritten by the same line
+_TRIES = 2  # a command that was garbled in transit is overwritten by a repetition
 
 
-async def load_second(unit: UnitState, lowered: ShrcLowered, still: Callable[[], None]) -> str:
-    """Load the second moves of a step and read them back; why they will not run as they should, "" if they will.
+async def load_followup_moves(unit: ShrcState, lowered: ShrcLowered, before_send: Callable[[], None]) -> str:
+    """Load the follow-up moves of a step and read them back; return why they will not run as planned, "" if they will.
 
-    still: called before anything is sent; raises `CannotDo` when the step is stopped.
+    before_send: called before anything is sent; raises `Refusal` when the step is stopped.
     """
     wrong = ""
     for _ in range(_TRIES):
         try:
-            heard = await unit.session.tell_and_hear(lowered.load_second, still)
-        except (CannotDo, DriverFault) as error:
+            heard = await unit.session.set_and_echo(lowered.load_followup, before_send)
+        except (Refusal, ControllerFault) as error:
             wrong = str(error)
             continue
-        if heard == lowered.load_second:
+        if heard == lowered.load_followup:
             break
-        wrong = f"sent {lowered.load_second!r}, the unit has understood {heard!r}"
+        wrong = f"sent {lowered.load_followup!r}, the controller has understood {heard!r}"
     else:
-        return f"the second of two moves could not be loaded: {wrong}"
-    now = status(await unit.session.ask("Q:SPC", STATUS), unit.controllable)
+        return f"the follow-up move could not be loaded: {wrong}"
+    now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
     for each in lowered.moves:
-        if len(each.pieces) > 1 and not now[each.motor].busy:
-            return why_stopped(each.name, now[each.motor]) or astray(each, now[each.motor].counts)
+        if len(each.executed_moves) > 1 and not now[each.motor].is_busy:
+            return stop_reason(each.name, now[each.motor]) or stray_text(each, now[each.motor].counts)
     return ""
 
 
-def astray(axis: AxisMove, counts: int) -> str:
-    """Why an axis is not at its target, by where it stands."""
-    _, *more = axis.pieces
+def stray_text(axis: ShrcAxisMove, counts: int) -> str:
+    """Return why an axis is not at its target, judged by its position."""
+    _, *more = axis.executed_moves
     if more and counts == more[0].start_counts:
-        return f"axis {axis.name} stands at {counts}, between its two moves: the second one came too late"
-    return f"axis {axis.name} stands at {counts}, not at its target"
+        return f"axis {axis.name} is at {counts}, between its two moves: the follow-up move came too late"
+    return f"axis {axis.name} is at {counts}, not at its target"

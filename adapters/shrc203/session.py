@@ -1,8 +1,8 @@
-"""The conversation on the line: one command at a time, asynchronous lines told from replies, steps found again.
+"""The exchanges on the line: one command at a time, asynchronous lines distinguished from replies, resynchronisation.
 
 Every command gets exactly one line in the order of arrival (L229-L237). Between them come completion lines `1`, `2`,
-`3`, and `COMP` and `TRIG` of programs. A stop and the line that starts a move are written beside the conversation;
-their replies have their place in the same queue.
+`3`, and `COMP` and `TRIG` of programs. A stop and the command that starts a move are written concurrently; their
+replies have their place in the same queue.
 """
 
 import asyncio
@@ -10,59 +10,61 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, Form, refusal
+from adapters.shrc203.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, ShrcReplyFormat, refusal_of
 from orchestrator.clock.base import NS_PER_MS, Clock, Timer, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 
 EOL = "\r\n"
 COMPLETIONS = ("1", "2", "3")
 PROGRAM_EVENTS = ("COMP", "TRIG")
-LONGEST_REPLY = 128  # characters that a reply may take to come in, beyond the time allowed for answering
-_QUIET_NS = 30 * NS_PER_MS  # nothing comes this long: no late reply is on its way any more
+LONGEST_REPLY = 128  # characters that a reply may take to arrive, beyond the time allowed for answering
+_QUIET_NS = 30 * NS_PER_MS  # silence for this long: no late reply is under way
 _TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A line as it came. at_ns: host time when its end was taken from the operating system. asked_ns: when what it
-    answers was written, 0 for what nobody has asked."""
+class ShrcLine:
+    """A received line.
+
+    at_ns: host time when its end was taken from the operating system.
+    command_ns: when the command that it answers was written, 0 for an unsolicited line."""
 
     text: str
     at_ns: int
-    asked_ns: int = 0
+    command_ns: int = 0
 
 
-class _Owed(Exception):
-    """A completion is owed: a bare digit could be either."""
+class _CompletionOutstanding(Exception):
+    """A completion is outstanding: a bare digit is ambiguous."""
 
 
-class Pending:
-    """A command whose reply is still to come. `reply` is None when nobody waits for it."""
+class ShrcPending:
+    """A command whose reply is outstanding. `reply` is None when no task awaits it."""
 
-    def __init__(self, command: str, form: Form, written_ns: int, awaited: bool) -> None:
+    def __init__(self, command: str, form: ShrcReplyFormat, written_ns: int, awaited: bool) -> None:
         self.command = command
         self.form = form
         self.written_ns = written_ns
-        self.reply: asyncio.Future[Line] | None = asyncio.get_running_loop().create_future() if awaited else None
+        self.reply: asyncio.Future[ShrcLine] | None = asyncio.get_running_loop().create_future() if awaited else None
         self.timer: Timer | None = None
 
-    def settle(self, line: Line) -> None:
+    def set_reply(self, line: ShrcLine) -> None:
         if self.timer is not None:
             self.timer.cancel()
         if self.reply is not None and not self.reply.done():
-            self.reply.set_result(replace(line, asked_ns=self.written_ns))
+            self.reply.set_result(replace(line, command_ns=self.written_ns))
 
-    def fail(self, error: Exception) -> None:
+    def set_failure(self, error: Exception) -> None:
         if self.timer is not None:
             self.timer.cancel()
         if self.reply is not None and not self.reply.done():
             self.reply.set_exception(error)
-            self.reply.exception()  # looked at: a waiter that was cancelled meanwhile leaves no unheard error
+            self.reply.exception()  # retrieved: a waiter that was cancelled meanwhile leaves no unretrieved exception
 
 
-class Session:
-    """The conversation with one unit. char_ns: one character on the slowest wire of the way."""
+class ShrcSession:
+    """The exchanges with one controller. char_ns: one character on the slowest part of the connection."""
 
     def __init__(self, link: Link, clock: Clock, char_ns: int, answer_ns: int) -> None:
         self.link = link
@@ -70,16 +72,16 @@ class Session:
         self._clock = clock
         self._answer_ns = answer_ns
         self._turn = asyncio.Lock()
-        self._queue: deque[Pending] = deque()
-        self._rest = b""
-        self._astray = True  # nobody knows what was said before
+        self._queue: deque[ShrcPending] = deque()
+        self._partial_line = b""
+        self._out_of_step = True  # the previous traffic is unknown
         self._searching = False
         self._closed: LinkClosed | None = None
         self._quiet = (0, 0)
-        self._reader = asyncio.get_running_loop().create_task(self._read())
-        self.owed: set[int] = set()
-        self._owed_since_ns = 0
-        self._each: Callable[[int, int], None] | None = None
+        self._reader = asyncio.get_running_loop().create_task(self._read_lines())
+        self.expected_completions: set[int] = set()
+        self._expected_since_ns = 0
+        self._on_completion: Callable[[int, int], None] | None = None
         self.abandoned = False
         self._before: set[int] = set()
         self.completed: dict[int, int] = {}
@@ -88,224 +90,233 @@ class Session:
     async def close(self) -> None:
         self._reader.cancel()
         await self.link.close()
-        self._lose(LinkClosed(f"{self.link.place} is closed"))
+        self._handle_link_loss(LinkClosed(f"{self.link.place} is closed"))
 
-    # Saying things
+    # Exchanges
 
-    async def ask(self, command: str, form: Form) -> str:
-        """The reply to a query, without its blanks. A query that went wrong on the wire is asked once more."""
-        line = await self.ask_line(command, form)
+    async def send_query(self, command: str, form: ShrcReplyFormat) -> str:
+        """Return the reply to a query, without its blanks. A query that was garbled in transit is repeated once."""
+        line = await self.query_line(command, form)
         return line.text
 
-    async def ask_digits(self, command: str, form: Form) -> str | None:
-        """Like `ask`, for what may be answered by a bare digit; None while a completion is owed."""
+    async def query_digit(self, command: str, form: ShrcReplyFormat) -> str | None:
+        """Like `send_query`, for queries whose answer may be a bare digit; None while a completion is outstanding."""
 
-        def still() -> None:
-            if self.owed:
-                raise _Owed
+        def require_no_completion() -> None:
+            if self.expected_completions:
+                raise _CompletionOutstanding
 
         try:
-            return (await self.ask_line(command, form, still)).text
-        except _Owed:
+            return (await self.query_line(command, form, require_no_completion)).text
+        except _CompletionOutstanding:
             return None
 
-    async def ask_line(self, command: str, form: Form, still: Callable[[], None] | None = None) -> Line:
-        """Like `ask`, with the time stamp of the reply. still: as for `tell`."""
+    async def query_line(
+        self, command: str, form: ShrcReplyFormat, before_send: Callable[[], None] | None = None
+    ) -> ShrcLine:
+        """Like `send_query`, with the time stamp of the reply. before_send: as for `send_setting`."""
         try:
-            line = await self._exchange(command, form, still)
+            line = await self._run_exchange(command, form, before_send)
             if line.text not in REFUSALS:
                 return line
-        except DriverFault:
-            self._astray = True
-        line = await self._exchange(command, form, still)
+        except ControllerFault:
+            self._out_of_step = True
+        line = await self._run_exchange(command, form, before_send)
         if line.text in REFUSALS:
-            said = refusal(command)
-            raise DriverFault(said.code, said.text, said.remedy)
+            said = refusal_of(command)
+            raise ControllerFault(said.code, said.text, said.remedy)
         return line
 
-    async def ask_if_any(self, command: str, form: Form) -> str | None:
-        """The reply to a query that is refused when there is nothing to tell; None then."""
-        line = await self._exchange(command, form)
+    async def query_optional(self, command: str, form: ShrcReplyFormat) -> str | None:
+        """Return the reply to a query that is refused when there is nothing to report; None then."""
+        line = await self._run_exchange(command, form)
         return None if line.text in REFUSALS else line.text
 
-    async def try_to_ask(self, command: str, form: Form) -> Line | None:
-        """The reply to a query that is not worth asking twice; None when it goes wrong."""
+    async def try_query(self, command: str, form: ShrcReplyFormat) -> ShrcLine | None:
+        """Return the reply to a query that is not worth a repetition; None when it fails."""
         try:
-            line = await self._exchange(command, form)
-        except DriverFault:
-            self._astray = True
+            line = await self._run_exchange(command, form)
+        except ControllerFault:
+            self._out_of_step = True
             return None
         return None if line.text in REFUSALS else line
 
-    async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
-        """Give a setting. Raises `CannotDo` when the controller refuses it.
+    async def send_setting(self, command: str, before_send: Callable[[], None] | None = None) -> None:
+        """Send a setting. Raises `Refusal` when the controller refuses it.
 
-        still: called when it is the command's turn; if it raises, nothing is sent.
+        before_send: called when it is the command's turn; if it raises, nothing is sent.
         """
-        line = await self._exchange(command, DONE, still)
+        line = await self._run_exchange(command, DONE, before_send)
         if line.text in REFUSALS:
-            said = refusal(command)
-            raise CannotDo(said.code, said.text, said.remedy)
+            said = refusal_of(command)
+            raise Refusal(said.code, said.text, said.remedy)
 
-    async def try_to_tell(self, command: str) -> bool:
-        """Give a setting that may well be refused; whether it was taken."""
-        line = await self._exchange(command, DONE)
+    async def try_setting(self, command: str) -> bool:
+        """Send a setting that may be refused; return whether it was accepted."""
+        line = await self._run_exchange(command, DONE)
         return line.text not in REFUSALS
 
-    async def tell_and_hear(self, command: str, still: Callable[[], None] | None = None) -> str:
-        """Like `tell`; what the unit has understood of it (`?:CMD`), with nothing said in between."""
+    async def set_and_echo(self, command: str, before_send: Callable[[], None] | None = None) -> str:
+        """Like `send_setting`; return what the controller has understood (`?:CMD`), without another exchange in
+        between."""
         async with self._turn:
-            await self._prepare()
-            if still is not None:
-                still()
-            line = await self._once(command, DONE)
+            await self._synchronise()
+            if before_send is not None:
+                before_send()
+            line = await self._send_once(command, DONE)
             if line.text not in REFUSALS:
-                return (await self._once("?:CMD", COMMAND)).text.upper()
-        said = refusal(command)
-        raise CannotDo(said.code, said.text, said.remedy)
+                return (await self._send_once("?:CMD", COMMAND)).text.upper()
+        said = refusal_of(command)
+        raise Refusal(said.code, said.text, said.remedy)
 
-    async def converse(self, command: str) -> str:
-        """Any line, and whatever is said to it."""
-        return (await self._exchange(command, ANYTHING)).text
+    async def send_raw(self, command: str) -> str:
+        """Send any command, and return whatever the reply is."""
+        return (await self._run_exchange(command, ANYTHING)).text
 
-    def interrupt(self, *commands: str) -> int:
-        """Write past everything else, at once; gives the instant. Each of our lines is handed over whole, so that
-        this is always at the beginning of a line."""
+    def write_at_once(self, *commands: str) -> int:
+        """Write at once, bypassing everything else; return the instant. Each command of the session is handed over as a
+        whole, so that this is always at the beginning of a line."""
         for command in commands:
-            self._enqueue(command, DONE, awaited=False)
+            self._enqueue_command(command, DONE, awaited=False)
         return self.link.write("".join(command + EOL for command in commands).encode())
 
-    def send(self, command: str, form: Form) -> "asyncio.Future[Line]":
-        """Write a line at once, behind what has been written, and give what will be its reply."""
-        pending = self._enqueue(command, form, awaited=True)
+    def send_command(self, command: str, form: ShrcReplyFormat) -> "asyncio.Future[ShrcLine]":
+        """Write a command at once, after those already written, and return its future reply."""
+        pending = self._enqueue_command(command, form, awaited=True)
         self.link.write((command + EOL).encode())
         assert pending.reply is not None
         return pending.reply
 
-    def expect(self, command: str, written_by_ns: int, latest_ns: int) -> Pending:
-        """Somebody else writes `command` by `written_by_ns`, or as late as `latest_ns` while everybody else is quiet:
-        keep the place of its reply."""
-        pending = self._enqueue(command, DONE, awaited=True, written_ns=written_by_ns)
-        self._due(pending, latest_ns)
+    def expect_reply(self, command: str, written_by_ns: int, latest_ns: int) -> ShrcPending:
+        """Expect the reply to a command that another writer writes by `written_by_ns`, or as late as `latest_ns` while
+        this session is quiet."""
+        pending = self._enqueue_command(command, DONE, awaited=True, written_ns=written_by_ns)
+        self._set_timeout(pending, latest_ns)
         return pending
 
-    def written(self, pending: Pending, at_ns: int) -> None:
-        """What was expected was written at that instant."""
+    def record_write(self, pending: ShrcPending, at_ns: int) -> None:
+        """Record when the expected command was written."""
         pending.written_ns = at_ns
         if pending in self._queue:
-            self._due(pending, at_ns)
+            self._set_timeout(pending, at_ns)
 
-    def forget(self, pending: Pending) -> None:
-        """The line was never written."""
+    def remove_expected(self, pending: ShrcPending) -> None:
+        """Remove an expected command that was never written."""
         if pending.timer is not None:
             pending.timer.cancel()
         if pending in self._queue:
             self._queue.remove(pending)
 
-    def owe(self, motors: set[int], each: Callable[[int, int], None] | None = None, before: Iterable[int] = ()) -> None:
-        """From now on a bare digit is the completion of one of `motors`, and its only one; but not while a question
-        is to be answered by one that was asked before.
+    def expect_completions(
+        self, motors: set[int], on_completion: Callable[[int, int], None] | None = None, before: Iterable[int] = ()
+    ) -> None:
+        """Expect completions: from now on a bare digit is the completion of one of `motors`, and its only one; but not
+        while a query sent before can be answered by a digit.
 
-        each: called with motor and instant; then more of the same motor are owed, until `owe_nothing`. before: motors
-        that complete another move before that.
+        on_completion: called with motor and instant; then further completions of the same motor are expected, until
+        `expect_no_completion`. before: motors that complete another move first.
         """
-        self.owed = set(motors)
-        self._owed_since_ns = self._clock.now_ns()
+        self.expected_completions = set(motors)
+        self._expected_since_ns = self._clock.now_ns()
         self._before = set(before)
-        self._each = each
+        self._on_completion = on_completion
         self.completed = {}
         self.abandoned = False
 
-    def owe_again(self, motor: int) -> None:
-        """What came was not the completion of this motor's move."""
+    def expect_again(self, motor: int) -> None:
+        """Expect the motor's completion again: the received one did not belong to this move."""
         self.completed.pop(motor, None)
-        self.owed.add(motor)
+        self.expected_completions.add(motor)
 
-    def owe_nothing(self) -> None:
-        """No completion can come any more."""
-        self.owed = set()
-        self._each = None
+    def expect_no_completion(self) -> None:
+        """Expect no further completions: none can arrive."""
+        self.expected_completions = set()
+        self._on_completion = None
         self.abandoned = False
 
-    def abandon(self) -> None:
-        """Nobody waits for the completions any more; they may come nevertheless."""
-        self.abandoned = bool(self.owed)
+    def abandon_completions(self) -> None:
+        """Stop awaiting the completions; they may still arrive."""
+        self.abandoned = bool(self.expected_completions)
 
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
-        """Begin no exchange that would still be on the line when another writer writes, at `line_at_ns`."""
+        """Begin no exchange that would still be under way when another writer writes, at `line_at_ns`."""
         self._quiet = (line_at_ns - self._answer_ns // 10 - self.wire_ns(2 * LONGEST_REPLY), until_ns)
 
     def end_quiet(self) -> None:
         self._quiet = (0, 0)
 
     def wire_ns(self, characters: int) -> int:
-        """How long so many characters are on the wire."""
+        """Return the transmission time of `characters` characters."""
         return characters * self.char_ns
 
-    # Inside
+    # Internals
 
-    async def _exchange(self, command: str, form: Form, still: Callable[[], None] | None = None) -> Line:
+    async def _run_exchange(
+        self, command: str, form: ShrcReplyFormat, before_send: Callable[[], None] | None = None
+    ) -> ShrcLine:
         async with self._turn:
-            await self._prepare()
-            if still is not None:
-                still()
-            return await self._once(command, form)
+            await self._synchronise()
+            if before_send is not None:
+                before_send()
+            return await self._send_once(command, form)
 
-    async def _prepare(self) -> None:
+    async def _synchronise(self) -> None:
         while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
             await sleep_ns(self._clock, NS_PER_MS)
-        if self._astray:
-            await self._find_step()
+        if self._out_of_step:
+            await self._resynchronise()
 
-    async def _once(self, command: str, form: Form) -> Line:
-        pending = self._enqueue(command, form, awaited=True)
+    async def _send_once(self, command: str, form: ShrcReplyFormat) -> ShrcLine:
+        pending = self._enqueue_command(command, form, awaited=True)
         self.link.write((command + EOL).encode())
         assert pending.reply is not None
         return await pending.reply
 
-    def _enqueue(self, command: str, form: Form, *, awaited: bool, written_ns: int | None = None) -> Pending:
+    def _enqueue_command(
+        self, command: str, form: ShrcReplyFormat, *, awaited: bool, written_ns: int | None = None
+    ) -> ShrcPending:
         if self._closed is not None:
             raise self._closed
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
-        pending = Pending(command, form, since_ns, awaited)
-        # A line that somebody else writes later is answered later: what is said until then has its place before it.
+        pending = ShrcPending(command, form, since_ns, awaited)
+        # A command that another writer writes later is answered later: exchanges until then precede it.
         later = sum(each.written_ns > since_ns for each in self._queue)
         self._queue.insert(len(self._queue) - later, pending)
-        self._due(pending, since_ns)
+        self._set_timeout(pending, since_ns)
         return pending
 
-    def _due(self, pending: Pending, since_ns: int) -> None:
-        """It is to be answered in time, counted from when it is written."""
+    def _set_timeout(self, pending: ShrcPending, since_ns: int) -> None:
+        """Set the timeout of a reply, counted from when its command is written."""
         if pending.timer is not None:
             pending.timer.cancel()
         ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
         pending.timer = self._clock.call_at_ns(
-            since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._expire(pending)
+            since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._handle_timeout(pending)
         )
 
-    def _expire(self, pending: Pending) -> None:
+    def _handle_timeout(self, pending: ShrcPending) -> None:
         if pending in self._queue:
             self._queue.remove(pending)
-        self._astray = True
-        pending.fail(
-            DriverFault(
+        self._out_of_step = True
+        pending.set_failure(
+            ControllerFault(
                 "no-answer",
-                f"no answer to {pending.command!r} on {self.link.place}; expected {pending.form.words}",
-                "check power, cable, baud rate, and that the unit is in HOST mode",
+                f"no reply to {pending.command!r} on {self.link.place}; expected {pending.form.words}",
+                "check power, cable, baud rate, and that the controller is in HOST mode",
             )
         )
 
-    async def _find_step(self) -> None:
-        """Find the way back: end what is half-typed, ask for the mode, and drop everything that does not fit it."""
-        while self._queue:  # each has its timer, so that this ends
+    async def _resynchronise(self) -> None:
+        """Resynchronise: end a half-typed command, query the mode, and discard everything that does not match."""
+        while self._queue:  # each has its timeout, so that this loop ends
             await sleep_ns(self._clock, 5 * NS_PER_MS)
             self._require_open()
         for left in reversed(range(_TRIES)):
             self._searching = True
             try:
                 self.link.write(EOL.encode())
-                await self._once("?:MODE", MODE)
-            except DriverFault:
+                await self._send_once("?:MODE", MODE)
+            except ControllerFault:
                 if not left:
                     raise
                 continue
@@ -316,81 +327,81 @@ class Session:
                 await sleep_ns(self._clock, _QUIET_NS)
             finally:
                 self._searching = False
-            self._astray = False
+            self._out_of_step = False
             return
 
     def _require_open(self) -> None:
         if self._closed is not None:
             raise self._closed
 
-    async def _read(self) -> None:
+    async def _read_lines(self) -> None:
         try:
             while True:
                 received = await self.link.read()
-                *whole, self._rest = (self._rest + received.data).split(b"\n")
+                *whole, self._partial_line = (self._partial_line + received.data).split(b"\n")
                 for each in whole:
                     text = each.decode("latin-1").replace(" ", "").strip("\r\0")
                     if text:
-                        self._take(Line(text, received.at_ns))
+                        self._classify_line(ShrcLine(text, received.at_ns))
         except LinkClosed as error:
-            self._lose(error)
+            self._handle_link_loss(error)
 
-    def _lose(self, error: LinkClosed) -> None:
+    def _handle_link_loss(self, error: LinkClosed) -> None:
         self._closed = error
         while self._queue:
-            self._queue.popleft().fail(error)
+            self._queue.popleft().set_failure(error)
         self.changed.set()
 
-    def _take(self, line: Line) -> None:
-        """Say what a line is: completion, program event, reply, or garbage."""
+    def _classify_line(self, line: ShrcLine) -> None:
+        """Classify a line: completion, program event, reply, or garbage."""
         if line.text in PROGRAM_EVENTS:
             return
         if line.text in COMPLETIONS and self._is_completion(line):
             return
-        pending = next((each for each in self._queue if each.form.fits(line.text)), None)
+        pending = next((each for each in self._queue if each.form.matches_line(line.text)), None)
         head = self._queue[0] if self._queue else None
         if self._searching:
             if pending is not None:
                 self._queue.remove(pending)
-                pending.settle(line)
+                pending.set_reply(line)
         elif head is None:
-            self._astray = True  # a reply that nobody waits for: what comes next may be one too late
+            self._out_of_step = True  # a reply that no task awaits: the next one may be late as well
         else:
             self._queue.popleft()
             if head is pending or line.text in REFUSALS:
-                head.settle(line)
+                head.set_reply(line)
                 return
-            self._astray = True
-            head.fail(
-                DriverFault(
+            self._out_of_step = True
+            head.set_failure(
+                ControllerFault(
                     "garbage",
                     f"sent {head.command!r}, expected {head.form.words}, received {line.text!r}",
-                    "check cable, baud rate and ground; is another program on the same line?",
+                    "check cable, baud rate and ground; does another program use the same line?",
                 )
             )
 
-    def _is_completion(self, line: Line) -> bool:
+    def _is_completion(self, line: ShrcLine) -> bool:
         motor = int(line.text)
-        asked = self._queue[0] if self._queue and self._queue[0].form.fits(line.text) else None
-        if asked is not None and asked.written_ns <= self._owed_since_ns:
-            return False  # what is owed is begun behind that question
-        if motor in self.owed and self._each is not None:
-            self._each(motor, line.at_ns)
+        asked = self._queue[0] if self._queue and self._queue[0].form.matches_line(line.text) else None
+        if asked is not None and asked.written_ns <= self._expected_since_ns:
+            return False  # the expected motion is begun after that query
+        if motor in self.expected_completions and self._on_completion is not None:
+            self._on_completion(motor, line.at_ns)
             self.changed.set()
             return True
-        if motor in self.owed and motor in self._before:
+        if motor in self.expected_completions and motor in self._before:
             self._before.discard(motor)
             return True
-        if motor in self.owed:
-            self.owed.discard(motor)
+        if motor in self.expected_completions:
+            self.expected_completions.discard(motor)
             self.completed[motor] = line.at_ns
             self.changed.set()
             return True
-        # Nobody waits for it: still a completion, of a move that somebody else made, unless it answers the question.
+        # A completion that no task awaits, of a move begun elsewhere, unless it answers the query.
         return asked is None
 
     async def wait_changed(self, until_ns: int) -> None:
-        """Until a completion comes, somebody sets `changed`, the link is lost (`LinkClosed`), or that instant."""
+        """Wait until a completion arrives, `changed` is set, the link is lost (`LinkClosed`), or that instant."""
         timer = self._clock.call_at_ns(until_ns, self.changed.set)
         try:
             await self.changed.wait()

@@ -1,7 +1,7 @@
-"""What the status word says, in words, with what to do (L519-L567)."""
+"""The status word as texts, with remedies (L519-L567)."""
 
 from adapters.shrc203.replies import AxisStatus
-from orchestrator.model.state import Fault
+from orchestrator.model.state import FaultReport
 
 SCALE_ERROR = 1 << 2
 DISCONNECTED = 1 << 3
@@ -14,12 +14,14 @@ CCW_LIMIT = 1 << 20
 CW_SOFT = 1 << 21
 CCW_SOFT = 1 << 22
 
-_POWER = "switch the unit off and on; if it comes back, see the unit's manual, volume Preparation and Operation"
+_POWER = (
+    "switch the controller off and on; if it returns, see the controller's manual, volume Preparation and Operation"
+)
 _RESET = "remove the cause, then `tutti reset`"
 
-# Warnings are faults here: a unit that warns does not begin another move before somebody has looked at it.
+# Warnings count as faults here: a controller with a warning begins no further move before an operator has checked it.
 _FAULTS: tuple[tuple[int, str, str, str], ...] = (
-    (SCALE_ERROR, "scale-error", "scale error (S1)", "check the scale's cable, then switch the unit off and on"),
+    (SCALE_ERROR, "scale-error", "scale error (S1)", "check the scale's cable, then switch the controller off and on"),
     (DISCONNECTED, "disconnected", "a cable of the stage is disconnected (S2)", "check the stage's cable; " + _POWER),
     (1 << 4, "overflow", "overflow error (S4)", _RESET),
     (EMERGENCY, "emergency-stop", "emergency stop", _RESET + ", and enable the axis again"),
@@ -27,8 +29,18 @@ _FAULTS: tuple[tuple[int, str, str, str], ...] = (
     (1 << 7, "limit-error", "limit error (S5)", _RESET),
     (1 << 8, "counter-overflow", "counter overflow (S6): beyond 999,999,999 pulses", _POWER),
     (1 << 9, "auto-config", "the stage's automatic configuration failed", "check the stage's cable; " + _POWER),
-    (1 << 10, "io-overload", "24 V overload at the input and output connector (W1)", "check what is wired to it"),
-    (1 << 11, "terminal-overload", "24 V overload at the terminal block (W2)", "check what is wired to it"),
+    (
+        1 << 10,
+        "io-overload",
+        "24 V overload at the input and output connector (W1)",
+        "check the wiring of the connector",
+    ),
+    (
+        1 << 11,
+        "terminal-overload",
+        "24 V overload at the terminal block (W2)",
+        "check the wiring of the terminal block",
+    ),
     (1 << 12, "system-error", "system error (S7)", _POWER),
     (1 << 13, "driver-warm", "the motor driver is hot (W3)", "let it cool down; check load and ventilation"),
     (1 << 14, "driver-overheat", "the motor driver has overheated (S10)", "let it cool down; " + _POWER),
@@ -37,25 +49,26 @@ _FAULTS: tuple[tuple[int, str, str, str], ...] = (
 ERRORS = sum(bit for bit, *_ in _FAULTS if bit not in (1 << 10, 1 << 11, 1 << 13, 1 << 15))
 
 
-def faults(axis: str, word: int) -> list[Fault]:
-    """The faults that the status word of `axis` reports."""
+def status_faults(axis: str, word: int) -> list[FaultReport]:
+    """Return the faults that the status word of `axis` reports."""
     return [
-        Fault(code=code, text=f"axis {axis}: {text}", remedy=remedy, axis=axis)
+        FaultReport(code=code, text=f"axis {axis}: {text}", remedy=remedy, axis=axis)
         for bit, code, text, remedy in _FAULTS
         if word & bit
     ]
 
 
-def lost(word: int, excited: bool, closed_loop: bool) -> bool:
-    """Whether the coordinate may not be where the stage is: steps of a motor that nothing holds, or a scale, fail."""
+def is_position_lost(word: int, excited: bool, closed_loop: bool) -> bool:
+    """Return whether the coordinate may differ from the position of the stage: a motor without torque, or a failed
+    scale, loses steps."""
     if word & DISCONNECTED:
         return True
     return bool(word & SCALE_ERROR) if closed_loop else not excited
 
 
-def why_stopped(axis: str, now: AxisStatus) -> str:
-    """Why an axis is not where it should be, as far as its status tells; empty when it does not."""
-    found = faults(axis, now.word)
+def stop_reason(axis: str, now: AxisStatus) -> str:
+    """Return why an axis is not at its target, as far as its status shows it; empty otherwise."""
+    found = status_faults(axis, now.word)
     if found:
         return found[0].text
     if now.word & (CW_LIMIT | CCW_LIMIT):

@@ -1,59 +1,61 @@
-"""What is seen of a move's times: where an axis is on its way, whether it still moves, and when it has ended.
+"""Observed times of a move: the position of an axis in motion, whether it still moves, and when it has ended.
 
-All axes of a unit have one crystal: the one that moves longest stands for all. Looked at closely are moves by one
-command that the host has started, in open loop: an axis that settles is BUSY after its move, two moves have a hand-over
-between them, a line that starts axes is known by its window only, and `KP:` has speeds that are no whole numbers.
+All axes of a controller have one crystal: the one that moves longest represents all. Only moves by one command that the
+host has started, in open loop, are observed closely: a settling axis is BUSY after its move, two moves have a hand-over
+between them, the start by a trigger line is known by its window only, and `KP:` has speeds that are not whole numbers.
 """
 
 from collections.abc import Mapping
 
-from adapters.contract import Span
-from adapters.shrc203.lowering import AxisMove, ShrcLowered
+from adapters.contract import HostInterval
+from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
 from adapters.shrc203.replies import READY, AxisStatus
-from adapters.shrc203.session import EOL, Line, Session
-from adapters.shrc203.trapezoid import Trapezoid
+from adapters.shrc203.session import EOL, ShrcLine, ShrcSession
+from adapters.shrc203.trapezoid import ShrcTrapezoid
 from orchestrator.clock.timed import TimedMove
 
-_GRAIN = 1.0  # pulses: whether the counter rounds is not said
+_GRAIN = 1.0  # pulses: the manual does not state whether the counter rounds
 
 
-class Timing:
+class ShrcTiming:
     """The times of one move of an axis that has started."""
 
-    def __init__(self, axis: AxisMove, timed: TimedMove, session: Session) -> None:
+    def __init__(self, axis: ShrcAxisMove, timed: TimedMove, session: ShrcSession) -> None:
         self.axis = axis
         self.timed = timed
         self._session = session
 
-    def looked(self, command: str, line: Line, now: Mapping[int, AxisStatus]) -> None:
-        """Take what a poll says."""
+    def add_reading(self, command: str, line: ShrcLine, now: Mapping[int, AxisStatus]) -> None:
+        """Add the observations of a poll."""
         each = now[self.axis.motor]
-        asked_ns = line.asked_ns + self._session.wire_ns(len(command + EOL))
+        asked_ns = line.command_ns + self._session.wire_ns(len(command + EOL))
         told_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
         self.timed.stood(abs(each.counts - self.axis.start_counts), _GRAIN, asked_ns, told_ns)
-        if each.busy:
+        if each.is_busy:
             self.timed.moved(asked_ns)
 
     async def still_moves(self) -> bool:
-        """Ask whether it does; False also when there is no answer, which others will find out in their turn."""
+        """Query whether the axis still moves; False also without a reply, which later exchanges will detect."""
         command = f"!:{self.axis.motor}S"
-        line = await self._session.try_to_ask(command, READY)
+        line = await self._session.try_query(command, READY)
         if line is None or line.text != "B":
             return False
-        self.timed.moved(line.asked_ns + self._session.wire_ns(len(command + EOL)))
+        self.timed.moved(line.command_ns + self._session.wire_ns(len(command + EOL)))
         return True
 
 
-def timing(lowered: ShrcLowered, started: Span, closed_loop: Mapping[int, bool], session: Session) -> Timing | None:
-    """Of the longest move that says something about the crystal."""
+def make_timing(
+    lowered: ShrcLowered, started: HostInterval, closed_loop: Mapping[int, bool], session: ShrcSession
+) -> ShrcTiming | None:
+    """Return the timing of the longest move that provides information about the crystal."""
     if lowered.wait is not None:
         return None
     found = [
-        (each.shape.duration_s, each.motor, each, each.shape.legs)
+        (each.shape.duration_s, each.motor, each, each.shape.motion_legs)
         for each in lowered.moves
-        if isinstance(each.shape, Trapezoid) and not closed_loop.get(each.motor)
+        if isinstance(each.shape, ShrcTrapezoid) and not closed_loop.get(each.motor)
     ]
     if not found:
         return None
     duration_s, _, axis, legs = max(found)
-    return Timing(axis, TimedMove(duration_s, legs, (started.earliest_ns, started.latest_ns)), session)
+    return ShrcTiming(axis, TimedMove(duration_s, legs, (started.earliest_ns, started.latest_ns)), session)

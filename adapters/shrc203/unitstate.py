@@ -1,4 +1,4 @@
-"""What the driver knows of the unit between two commands."""
+"""The driver's knowledge of the controller between two commands."""
 
 import asyncio
 from collections import Counter
@@ -6,27 +6,33 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from adapters.contract import CannotDo
-from adapters.shrc203.buffers import Buffers
-from adapters.shrc203.replies import triples
-from adapters.shrc203.session import Session
-from adapters.shrc203.timing import Timing
+from adapters.shrc203.buffers import PrebufferControl
+from adapters.shrc203.replies import speed_list
+from adapters.shrc203.session import ShrcSession
+from adapters.shrc203.timing import ShrcTiming
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import Refusal
 
 
 @dataclass(slots=True)
-class UnitState:
-    """One connection to one unit. excited, closed_loop: last known, by motor. sentinel: query and its due reply.
+class ShrcState:
+    """One connection to one controller.
 
-    untidy: a stop may have left something in the prebuffers. loading: held by whoever fills or empties them. sound: no
-    error stood at the last poll.
-    by_hand: motors that were last set going by a jog, which sends no completion line.
-    waiting: motors in standby for an input, as far as is known, with the pulses where they stand. line_starts: whether
-    the unit takes such standbys. outputs: value of all outputs as last read or written; driving: a step switches one.
-    chaining: a chain of moves is loaded or under way. timing: what is seen of the move that is under way.
+    excited, closed_loop: last known, by motor.
+    sentinel: query and its expected reply.
+    untidy: a stop may have left moves in the prebuffers.
+    loading: lock for filling or emptying them.
+    sound: no error was present at the last poll.
+    jogging_motors: motors that were last started by a jog, which sends no completion line.
+    waiting: motors in an input wait, as far as is known, with their positions in pulses.
+    line_starts: whether the controller accepts such waits.
+    outputs: value of all outputs as last read or written.
+    driving: a step switches an output.
+    chaining: a chain of moves is loaded or in progress.
+    timing: observations of the move in progress.
     """
 
-    session: Session
+    session: ShrcSession
     controllable: tuple[int, ...] = ()
     excited: dict[int, bool] = field(default_factory=dict[int, bool])
     closed_loop: dict[int, bool] = field(default_factory=dict[int, bool])
@@ -34,77 +40,80 @@ class UnitState:
     untidy: bool = False
     sound: bool = True
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
-    by_hand: set[int] = field(default_factory=set[int])
+    jogging_motors: set[int] = field(default_factory=set[int])
     waiting: dict[int, int] = field(default_factory=dict[int, int])
     line_starts: bool = True
     outputs: int = 0
     driving: bool = False
     chaining: bool = False
-    timing: Timing | None = None
-    _stops_given: Counter[int] = field(default_factory=Counter[int])
+    timing: ShrcTiming | None = None
+    _stop_counts: Counter[int] = field(default_factory=Counter[int])
 
     @property
-    def buffers(self) -> Buffers:
-        return Buffers(self.session, self.controllable)
+    def prebuffers(self) -> PrebufferControl:
+        return PrebufferControl(self.session, self.controllable)
 
     @property
     def untidy_at_rest(self) -> bool:
-        """Whether the prebuffers are to be emptied, and can be: in an error nothing is taken, and nothing starts."""
+        """Whether the prebuffers must be emptied, and can be: in an error state no command is accepted, and nothing
+        starts."""
         return self.untidy and self.sound
 
     async def is_restarted(self) -> bool:
-        """Whether the unit has lost its sentinel: asked behind something else, what that has said is true of a unit
-        that was not restarted if this is false."""
+        """Return whether the controller has lost its sentinel. Queried after another exchange, False also validates the
+        reply of that exchange."""
         query, due = self.sentinel
-        return await self.session.ask(query, triples(1)) != due
+        return await self.session.send_query(query, speed_list(1)) != due
 
     async def make_harmless(self) -> None:
-        """See to it that nothing queued can move an axis, now, and later when the error of its axis has been cleared.
-        Never starts a move. Raises `DriverFault` (code `still-armed`)."""
-        if not await self.buffers.make_harmless(self.excited):
+        """Ensure that no queued move can move an axis, now, and later when the error of its axis has been cleared.
+
+        Never starts a move. Raises `ControllerFault` (code `still-armed`)."""
+        if not await self.prebuffers.make_harmless(self.excited):
             self.untidy = True
 
-    # Setting going, and stopping
+    # Starts and stops
 
-    def count_stop(self, motors: Iterable[int]) -> None:
-        """A stop is written for these motors: what waits for its turn on the line must not set them going after it."""
-        self._stops_given.update(motors)
+    def record_stop(self, motors: Iterable[int]) -> None:
+        """Record a stop that is written for these motors: commands that wait for their turn on the line must not start
+        them afterwards."""
+        self._stop_counts.update(motors)
 
-    def stops_given(self, motor: int) -> int:
-        """A number that every stop of this motor raises."""
-        return self._stops_given[motor]
+    def stop_count(self, motor: int) -> int:
+        """Return a number that every stop of this motor increments."""
+        return self._stop_counts[motor]
 
     def require_no_stop(self, axis: str, motor: int, since: int) -> None:
-        """Raises `CannotDo` when a stop has come since `stops_given` was `since`."""
-        if self._stops_given[motor] != since:
-            raise CannotDo("stopped", f"axis {axis} was stopped meanwhile", "")
+        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
+        if self._stop_counts[motor] != since:
+            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
 
-    async def set_going(self, command: str, axis: str, motor: int, since: int) -> None:
-        """Send a line that moves one motor, unless a stop has come since `stops_given` was `since`.
+    async def start_motion(self, command: str, axis: str, motor: int, since: int) -> None:
+        """Send a command that moves one motor, unless a stop has come since `stop_count` returned `since`.
 
-        The line keeps the order of what is written to it, so that a stop written later is carried out later. Raises
-        `CannotDo`; then the motor stands still.
+        The line keeps the order of writes, so that a later stop is executed later. Raises `Refusal`; then the motor is
+        at rest.
         """
         sent = False
 
-        def still() -> None:
+        def check_no_stop() -> None:
             nonlocal sent
             self.require_no_stop(axis, motor, since)
             sent = True
 
         try:
-            await self.session.tell(command, still)
-        except CannotDo:
+            await self.session.send_setting(command, check_no_stop)
+        except Refusal:
             raise
         except BaseException:
-            # Cancelled, or without an answer: nobody would stop it any more.
+            # Cancelled or unanswered: no caller would stop it later.
             if sent:
                 with suppress(LinkClosed):
-                    self.brake([motor])
+                    self.brake_motors([motor])
             raise
 
-    def brake(self, motors: Iterable[int]) -> None:
-        """`L:` to each by itself, now: for several at once it is refused where one motor is off (L2988)."""
+    def brake_motors(self, motors: Iterable[int]) -> None:
+        """Send `L:` to each motor singly, now: for several at once it is refused where one motor is off (L2988)."""
         lines = [f"L:{motor}" for motor in motors]
         if lines:
-            self.session.interrupt(*lines)
+            self.session.write_at_once(*lines)

@@ -1,13 +1,13 @@
-"""What arming, disarming and stopping take at the most, from characters on the wire and the unit's decoding."""
+"""Upper bounds of arming, disarming and stopping, from transmitted characters and the controller's decoding time."""
 
 from math import ceil
 
-from adapters.smc30.lowering import LINES_BEFORE, Slots
-from adapters.smc30.options import Options
+from adapters.smc30.lowering import LINES_BEFORE, SlotSchedule
+from adapters.smc30.options import Smc30DriverOptions
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
-# Characters out and in, with address, checksum and CR, at their longest; exchanges.
+# Sent and received characters, with address, checksum and CR, at their longest; exchanges.
 _CHECK = (4 + 3 + 5 + 11, 2)  # F V1
 _POINTS = (5 + 5, 1)  # V2
 _LOAD = (5 + 5 + 3 * 9 + 9 + 3 * 12 + 2 * 8 + 3 * 8 + 14 * 3, 14)  # PO PX, S T R, D or N, G T G T G, A D C, Y
@@ -20,18 +20,18 @@ _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, for each exchange
 _LOOK_NS = 20 * NS_PER_MS
 
 
-def exchange_ns(options: Options, char_ns: int, *parts: tuple[int, int]) -> int:
-    """What exchanges with these characters take."""
+def exchange_ns(options: Smc30DriverOptions, char_ns: int, *parts: tuple[int, int]) -> int:
+    """Return the duration of exchanges with these characters."""
     late_us = options.decode_us + options.decode_spread_us + 2 * options.wire_jitter_us + options.hold_us
     each_ns = late_us * NS_PER_US + _HOST_NS
     return sum(characters * char_ns + exchanges * each_ns for characters, exchanges in parts)
 
 
-def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
-    """Bounds in ns for a line with this character time.
+def step_costs(options: Smc30DriverOptions, char_ns: int, slots: SlotSchedule, ramp_s: float) -> StepCosts:
+    """Return upper bounds in ns for a line with this character time.
 
-    Arming is that of this unit alone, while others are read: whoever arms several of a line adds them up. Unloading and
-    stopping are those of all units of the line at once.
+    Arming is that of this controller alone, while others are polled: the bounds of several controllers of a line add
+    up. Unloading and stopping are those of all controllers of the line at once.
 
     ramp_s: the longest ramp of the motion that may have to be stopped.
     """
@@ -40,10 +40,10 @@ def costs(options: Options, char_ns: int, slots: Slots, ramp_s: float) -> Costs:
     promise_ns = exchange_ns(options, char_ns, _CHECK, _SENTINEL)
     unload_ns = exchange_ns(options, char_ns, _STOP, _CHECK)
     program_ns = (LINES_BEFORE * options.line_us + options.decode_us) * NS_PER_US
-    # The stops of all units are written one after another at once; each is said again in its turn.
+    # The stops of all controllers are written in sequence at once; each is repeated in its turn.
     stop_ns = slots.count * (_LONGEST_LINE + _STOP[0]) * char_ns + ceil(ramp_s * NS_PER_S)
-    return Costs(
-        # What is loaded is loaded in one go: before it, each of the others may have its turn once.
+    return StepCosts(
+        # A program is loaded in one turn: before it, each of the other controllers may have its turn once.
         arm_ns=arm_ns + (slots.count - 1) * exchange_ns(options, char_ns, _SENTINEL),
         disarm_ns=slots.count * (promise_ns + unload_ns + slots.each_ns) + settle_ns + program_ns,
         stop_ns=stop_ns + 2 * settle_ns + slots.count * exchange_ns(options, char_ns, _STOP, _CHECK) + _LOOK_NS,

@@ -1,248 +1,233 @@
 """The driver of one SMC30, alone on its line or on a bus."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from adapters.contract import (
-    CannotDo,
-    Capabilities,
-    Driver,
-    DriverFault,
-    Identity,
+    ControllerIdentity,
+    ControllerReading,
+    DriverCapabilities,
+    DriverSetup,
     JogMove,
     Lowered,
-    Outcome,
-    Reading,
-    Setup,
-    Span,
 )
 from adapters.smc30 import startup
-from adapters.smc30.costs import costs
-from adapters.smc30.hand import Hand
-from adapters.smc30.line import SHARED, Line
-from adapters.smc30.lowering import LINES_BEFORE, Slots, SmcLowered, lower, slots
-from adapters.smc30.mover import Mover, passive
-from adapters.smc30.options import Options
-from adapters.smc30.polling import Poller
-from adapters.smc30.session import Busy, Session
-from adapters.smc30.unitaxis import address, only_axis
-from adapters.smc30.unitstate import UnitState
+from adapters.smc30.costs import step_costs
+from adapters.smc30.hand import Smc30ManualMotion
+from adapters.smc30.line import SHARED, Smc30Line
+from adapters.smc30.lowering import LINES_BEFORE, SlotSchedule, Smc30Lowered, lower_step, make_slot_schedule
+from adapters.smc30.mover import Smc30Mover, passive_commands
+from adapters.smc30.options import Smc30DriverOptions
+from adapters.smc30.polling import Smc30Poller
+from adapters.smc30.session import ControllerBusy, Smc30Session
+from adapters.smc30.unitaxis import line_address, only_axis
+from adapters.smc30.unitstate import Smc30State
+from adapters.toolkit.connection import ConnectedDriver
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.rate import CrystalRate
-from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import SerialLink
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
 _BITS = 10  # of a character: start, seven data, parity, stop (L1003-L1011)
-_BRIDGE_BAUD = 9600  # behind a TCP bridge: the quickest that the unit has
+_BRIDGE_BAUD = 9600  # behind a TCP bridge: the fastest baud rate of the controller
 
 
-class SmcDriver(Driver):
-    """Drives one unit. Its exchanges take turns with those of the other units of its line; a stop goes past them."""
+@dataclass(frozen=True, slots=True)
+class Smc30Connection:
+    """Everything that exists only while the controller is connected."""
 
-    def __init__(self, setup: Setup, options: Options) -> None:
-        self._setup = setup
+    state: Smc30State
+    mover: Smc30Mover
+    manual: Smc30ManualMotion
+    poller: Smc30Poller
+
+
+class Smc30Driver(ConnectedDriver[Smc30Connection]):
+    """Drive one controller. Its exchanges take turns with those of the other controllers of its line; a stop bypasses
+    them."""
+
+    def __init__(self, setup: DriverSetup, options: Smc30DriverOptions) -> None:
+        super().__init__(setup)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
         self._axis, axis = only_axis(setup.config)
-        self._address = address(setup.config)
+        self._address = line_address(setup.config)
         link = setup.config.link
         baud = link.baud if isinstance(link, SerialLink) else _BRIDGE_BAUD
         self._char_ns = _BITS * NS_PER_S // baud
         answer_ns = options.answer_ms * NS_PER_MS
-        self._line: Line = setup.shared.setdefault(SHARED, Line(setup.clock, options.checksum, answer_ns))
-        self._line.join(self._address, answer_ns)
+        self._line: Smc30Line = setup.shared.setdefault(SHARED, Smc30Line(setup.clock, options.checksum, answer_ns))
+        self._line.register_controller(self._address, answer_ns)
         self._ramp_s = axis.limits.velocity / axis.limits.acceleration
-        self._unit: UnitState | None = None
-        self._mover: Mover | None = None
-        self._hand: Hand | None = None
-        self._poller: Poller | None = None
         self._enabled = True
         self._lost = False
-        # Known beyond a connection.
+        # These outlive a connection.
         self._crystal = options.unread_clock(LINES_BEFORE)
-        self._met = False
+        self._is_connected = False
         self._restarted = False
 
-    # Meeting the unit
+    # Connection
 
-    async def connect(self) -> Identity:
+    async def connect(self) -> ControllerIdentity:
         if self._line.with_checksum != self._options.checksum:
-            raise DriverFault(
+            raise ControllerFault(
                 "config-mismatch",
-                f"{self._setup.config.link.place}: the units of one line do not agree on option `checksum`",
-                "give all of them the same, and set their switches CHS accordingly",
+                f"{self._setup.config.link.endpoint}: the controllers of one line have different values "
+                "of option `checksum`",
+                "set the same value for all of them, and set their switches CHS accordingly",
             )
-        await self._line.attach(self._address, self._setup.open_link, self._char_ns)
-        session = Session(self._line, self._clock, self._address, self._options.checksum)
-        unit = self._unit = UnitState(session, self._clock, enabled=self._enabled, lost=self._lost)
-        mover = self._mover = Mover(self._options, self._clock, self._setup.firer, unit, self._crystal, self._slots)
-        hand = self._hand = Hand(
+        await self._line.attach_controller(self._address, self._setup.open_link, self._char_ns)
+        session = Smc30Session(self._line, self._clock, self._address, self._options.checksum)
+        unit = Smc30State(session, self._clock, enabled=self._enabled, lost=self._lost)
+        mover = Smc30Mover(
+            self._options, self._clock, self._setup.timed_writer, unit, self._crystal, self._slot_schedule
+        )
+        manual = Smc30ManualMotion(
             self._config, self._options, self._clock, unit, lambda: mover.move is not None or unit.doing == "home"
         )
-        self._poller = Poller(self._config, self._clock, unit, mover, hand)
-        await startup.meet(unit)
+        poller = Smc30Poller(self._config, self._clock, unit, mover, manual)
+        self._connection = Smc30Connection(state=unit, mover=mover, manual=manual, poller=poller)
+        await startup.verify_identity(unit)
         number = "" if self._address is None else f"address {self._address}"
-        return Identity(model="SMC30", firmware="", serial=number)
+        return ControllerIdentity(model="SMC30", firmware="", serial=number)
 
     async def configure(self) -> None:
-        fresh = await startup.configure(self._connected(), self._options, self._clock)
-        # Said by the next poll: whoever reaches a unit again must hear that it was off meanwhile.
-        self._restarted = self._restarted or (fresh and self._met)
+        fresh = await startup.configure_controller(self.connection.state, self._options, self._clock)
+        # Reported by the next poll: a reconnecting adapter must learn that the controller was off meanwhile.
+        self._restarted = self._restarted or (fresh and self._is_connected)
         if fresh:
             self._crystal.forget()
-            self._connected().lost = False
-        self._met = True
+            self.connection.state.lost = False
+        self._is_connected = True
 
     @property
-    def _slots(self) -> Slots:
-        return slots(self._options, self._char_ns, self._line.place(self._address), len(self._line.units))
-
-    def _costs(self, ramp_s: float) -> Costs:
-        return costs(self._options, self._char_ns, self._slots, ramp_s)
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return Capabilities(
-            start_classes=("host", "line"), orders=(2,), independent_axes=False, costs=self._costs(self._ramp_s)
+    def _slot_schedule(self) -> SlotSchedule:
+        return make_slot_schedule(
+            self._options, self._char_ns, self._line.order_index(self._address), len(self._line.units)
         )
 
-    async def poll(self) -> Reading:
-        unit = self._connected()
-        assert self._poller is not None
-        reading = await self._poller.poll()
+    def _step_costs(self, ramp_s: float) -> StepCosts:
+        return step_costs(self._options, self._char_ns, self._slot_schedule, ramp_s)
+
+    @property
+    def capabilities(self) -> DriverCapabilities:
+        return DriverCapabilities(
+            start_classes=("host", "line"), orders=(2,), independent_axes=False, costs=self._step_costs(self._ramp_s)
+        )
+
+    async def poll(self) -> ControllerReading:
+        unit, poller = self.connection.state, self.connection.poller
+        reading = await poller.poll_state()
         restarted, self._restarted = self._restarted, False
         self._lost = unit.lost
         return replace(reading, restarted=restarted)
 
-    # A step
+    # Steps
 
-    def crystal(self) -> CrystalRate:
+    def crystal_rate(self) -> CrystalRate:
         return self._crystal.rate
 
-    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> SmcLowered:
+    def lower_profiles(
+        self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
+    ) -> Smc30Lowered:
         ramp_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
         known = self._crystal.known(self._clock.now_ns())
-        return lower(self._config, self._options, self._costs(ramp_s), self._slots, known, dict(profiles), how)
+        return lower_step(
+            self._config, self._options, self._step_costs(ramp_s), self._slot_schedule, known, dict(profiles), start
+        )
 
-    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, SmcLowered)
-        return await self._moving().arm(lowered, t0_ns)
-
-    async def verify(self) -> None:
-        await self._moving().verify()
-
-    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
-        await self._moving().go(slack_ns, sooner_ns)
-
-    async def disarm(self) -> None:
-        await self._moving().disarm()
-
-    async def started(self) -> Mapping[str, Span]:
-        return await self._moving().started()
-
-    async def outcome(self) -> Outcome:
-        return await self._moving().outcome()
+    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        assert isinstance(lowered, Smc30Lowered)
+        return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def stop(self, abort: bool) -> None:
-        """Z, by the ramp of the motion; or K, at once, after which its counter may be wrong (L1848-L1859)."""
-        unit, mover = self._connected(), self._moving()
-        after = passive(mover.move.lowered) if mover.move is not None else ()
-        mover.interrupted(unit.stop("K" if abort else "Z", *after))
+        """Stop with Z, by the ramp of the motion; or with K, at once, after which its counter may be wrong
+        (L1848-L1859)."""
+        unit, mover = self.connection.state, self.connection.mover
+        after = passive_commands(mover.move.lowered) if mover.move is not None else ()
+        mover.record_stop(unit.write_stop("K" if abort else "Z", *after))
 
-    async def stop_first(self) -> bool:
+    async def stop_before_connect(self) -> bool:
         if self._address is None:
             return False
-        await self._line.attach(self._address, self._setup.open_link, self._char_ns)
-        session = Session(self._line, self._clock, self._address, self._options.checksum)
-        await UnitState(session, self._clock).stop_now()
+        await self._line.attach_controller(self._address, self._setup.open_link, self._char_ns)
+        session = Smc30Session(self._line, self._clock, self._address, self._options.checksum)
+        await Smc30State(session, self._clock).stop_and_confirm()
         return True
 
-    # By hand
+    # Manual operation
 
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        """By the standby current: the unit has nothing else to switch its motor with (L1998-L2001)."""
+    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+        """Enable or disable by the standby current: the controller has no other switch for its motor (L1998-L2001)."""
         if not axes:
             return
-        unit = self._connected()
-        await unit.stopped()
-        await self._tell(f"CS{self._options.standby_ma if on else 0}")
+        unit = self.connection.state
+        await unit.wait_for_stops()
+        await self._send_setting(f"CS{self._options.standby_ma if on else 0}")
         unit.enabled = self._enabled = on
 
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        self._connected()
-        assert self._hand is not None
-        return await self._hand.home(found) if axes else {}
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        manual = self.connection.manual
+        return await manual.find_reference(found) if axes else {}
 
-    async def jog(self, axis: str, move: JogMove) -> None:
-        self._connected()
-        assert self._hand is not None
-        await self._hand.jog(move)
+    async def jog_axis(self, axis: str, move: JogMove) -> None:
+        await self.connection.manual.start_jog(move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
         if axes:
-            self._connected().stop("Z")
+            self.connection.state.write_stop("Z")
 
     async def set_output(self, number: int, on: bool) -> None:
-        await self._tell(f"{'A' if on else 'C'}{number}")
+        await self._send_setting(f"{'A' if on else 'C'}{number}")
 
     async def clear_faults(self) -> None:
-        """The error of a program is told once; a counter that has run over is written anew (L1807-L1816), and the
-        axis does not know where it is."""
-        unit = self._connected()
-        await unit.stopped()
+        """Clear errors. The error of a program is reported once; an overflowed counter is rewritten (L1807-L1816), and
+        the position of the axis is unknown then."""
+        unit = self.connection.state
+        await unit.wait_for_stops()
         unit.program_error = False
         unit.limit = "none"
-        if not (await unit.status()).busy and unit.overflow:
+        if not (await unit.read_status()).busy and unit.overflow:
             try:
-                counts = await unit.position()
-            except Busy:
-                raise CannotDo("moving", f"{unit.session.name} executes a program", "wait, or stop it") from None
-            await self._tell(f"f{max(-8_388_606, min(8_388_606, counts)):+d}")
+                counts = await unit.read_position()
+            except ControllerBusy:
+                raise Refusal(
+                    "moving", f"{unit.session.name} executes a program", "wait for its end, or stop it"
+                ) from None
+            await self._send_setting(f"f{max(-8_388_606, min(8_388_606, counts)):+d}")
             unit.overflow, unit.lost = False, True
         unit.program_error = False
 
-    async def raw(self, command: str) -> str:
-        unit = self._connected()
+    async def send_raw(self, command: str) -> str:
+        unit = self.connection.state
         if not command.isascii() or not command.isprintable():
-            raise CannotDo("raw-line", "a raw command is one line of printable ASCII", "send one line")
+            raise Refusal("raw-line", "a raw command is one line of printable ASCII", "send one line")
         async with unit.loading:
             unit.program = None
-            return await unit.session.converse(command)
+            return await unit.session.send_raw(command)
 
     async def close(self) -> None:
-        unit, self._unit = self._unit, None
-        mover, self._mover = self._mover, None
-        if mover is not None and mover.move is not None and mover.move.order is not None and mover.move.order.cancel():
-            assert mover.move.shot is not None
-            self._line.release(mover.move.shot)
-        if unit is not None:
-            unit.forget_stops()
-            await self._line.detach(self._address)
+        ended, self._connection = self._connection, None
+        if ended is None:
+            return
+        ended.mover.drop_start()
+        ended.state.cancel_confirmations()
+        await self._line.detach_controller(self._address)
 
-    # Inside
+    # Internals
 
-    def _connected(self) -> UnitState:
-        if self._unit is None:
-            raise LinkClosed(f"{self._setup.controller} is not connected")
-        return self._unit
-
-    def _moving(self) -> Mover:
-        self._connected()
-        assert self._mover is not None
-        return self._mover
-
-    async def _tell(self, command: str) -> None:
-        unit = self._connected()
+    async def _send_setting(self, command: str) -> None:
+        unit = self.connection.state
         session = unit.session
         try:
             async with unit.loading:
                 await unit.leave_programming()
-                await session.tell(command)
-        except Busy:
-            text = f"{session.name} executes a program, and takes no {command}"
-            raise CannotDo("moving", text, "wait, or stop it") from None
+                await session.send_setting(command)
+        except ControllerBusy:
+            text = f"{session.name} executes a program, and accepts no {command}"
+            raise Refusal("moving", text, "wait for its end, or stop it") from None

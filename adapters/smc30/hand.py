@@ -1,7 +1,7 @@
-"""Axes moved by hand, and the search for the reference: programs like those of steps, started at once.
+"""Manual motion: jogs and the search for the reference, by programs like those of steps, started at once.
 
-A jog is a move to the end of its way, so that it ends exactly there by itself; running on (g, L2034) would end at a
-limit switch only. Parameters hold for the next command (L2345), so that every change goes by way of a stop.
+A jog is a move to its end position, so that it ends exactly there by itself; continuous running (g, L2034) would end
+only at a limit switch. Parameters apply to the next command (L2345), so that every change requires a stop.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,23 +9,24 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil, floor, sqrt
 
-from adapters.contract import CannotDo, DriverFault, JogMove
-from adapters.smc30.options import Options
-from adapters.smc30.session import Busy
-from adapters.smc30.unitaxis import POSITION_MAX, RAMP_MAX, TOP_MIN, Bounds, bounds, homing_rate, only_axis
-from adapters.smc30.unitstate import UnitState
+from adapters.contract import JogMove
+from adapters.smc30.options import Smc30DriverOptions
+from adapters.smc30.session import ControllerBusy
+from adapters.smc30.unitaxis import POSITION_MAX, RAMP_MAX, TOP_MIN, Smc30Bounds, axis_bounds, homing_rate, only_axis
+from adapters.smc30.unitstate import Smc30State
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis, Controller
 
-_REST_ROOM_NS = 2 * NS_PER_S  # beyond its ramp, for a unit to come to rest and to say so
-_LOOK_NS = 100 * NS_PER_MS
+_REST_MARGIN_NS = 2 * NS_PER_S  # beyond its ramp, for a controller to come to rest and to report it
+_POLL_NS = 100 * NS_PER_MS
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """What the axis was last set going with by hand: steps/s, steps, and where it ends. stops: given by then."""
+class ManualRun:
+    """The last manual motion of the axis: steps/s, steps, and its end position. stops: number of stops at that time."""
 
     s: int
     t: int
@@ -35,7 +36,7 @@ class Run:
     stops: int
 
     @property
-    def sign(self) -> int:
+    def direction_sign(self) -> int:
         return 1 if self.end > self.begin else -1
 
     @property
@@ -43,15 +44,15 @@ class Run:
         return 0.0 if self.t <= self.s else 2 * self.r / (self.s + self.t)
 
     @property
-    def program(self) -> tuple[str, ...]:
+    def program_lines(self) -> tuple[str, ...]:
         return f"S{self.s}", f"T{self.t}", f"R{self.r}", f"G{self.end:+d}"
 
 
-class Hand:
-    """All that is moved by hand on one connection. busy: whether a step is loaded."""
+class Smc30ManualMotion:
+    """All manual motion on one connection. busy: returns whether a step is loaded."""
 
     def __init__(
-        self, config: Controller, options: Options, clock: Clock, unit: UnitState, busy: Callable[[], bool]
+        self, config: Controller, options: Smc30DriverOptions, clock: Clock, unit: Smc30State, busy: Callable[[], bool]
     ) -> None:
         self._name, self._axis = only_axis(config)
         self._options = options
@@ -59,114 +60,117 @@ class Hand:
         self._unit = unit
         self._busy = busy
         self._wanted: JogMove | None = None
-        self.run: Run | None = None
+        self.run: ManualRun | None = None
         self.began_ns = 0
-        """When the motion of `run` began, about."""
-        self.told_ns: int | None = None
-        """When the unit had taken the order to begin it; None before."""
+        """Approximate begin of the motion of `run`."""
+        self.accepted_ns: int | None = None
+        """When the controller accepted the command that begins it; None before."""
 
-    # Jogging
+    # Jogs
 
-    async def jog(self, move: JogMove) -> None:
-        """Begin, or change to `move`. Raises `CannotDo`, also when a stop overtakes the call."""
+    async def start_jog(self, move: JogMove) -> None:
+        """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit = self._unit
         since = unit.session.stops
         async with unit.loading:
-            await unit.stopped()
+            await unit.wait_for_stops()
             unit.session.require_no_stop(since)
             self._require_free()
             run = self.run
-            if (await unit.status()).busy:
+            if (await unit.read_status()).busy:
                 if unit.doing != "jog" or run is None:
-                    raise CannotDo("moving", f"axis {self._name} is moving", "wait, or stop it")
+                    raise Refusal("moving", f"axis {self._name} is moving", "wait for its end, or stop it")
                 if move == self._wanted and run.stops == since:
                     return
                 self._wanted = None
-                # Not a stop that others give: what was asked for after it may begin.
-                unit.stop("Z")
+                # Unlike an external stop: a request that came after it may begin.
+                unit.write_stop("Z")
                 since += 1
-                if await unit.rest(self._clock.now_ns() + round(run.ramp_s * NS_PER_S) + _REST_ROOM_NS) is None:
-                    raise DriverFault(
-                        "not-stopping", f"axis {self._name} does not stop", "stop it at the unit", self._name
+                if (
+                    await unit.wait_until_ready(self._clock.now_ns() + round(run.ramp_s * NS_PER_S) + _REST_MARGIN_NS)
+                    is None
+                ):
+                    raise ControllerFault(
+                        "not-stopping", f"axis {self._name} does not stop", "stop it at the controller", self._name
                     )
-                await unit.stopped()
-            async with unit.in_one_go():
-                wanted = _lowered(self._name, move, bounds(self._axis), await unit.ready(), since)
-                await unit.load(wanted.program, since)
+                await unit.wait_for_stops()
+            async with unit.exclusive_turn():
+                wanted = _make_run(self._name, move, axis_bounds(self._axis), await unit.require_ready(), since)
+                await unit.load_program(wanted.program_lines, since)
                 self._require_free()
-                await unit.require_not_restarted("told how to be jogged", "jog it again; its counter has begun anew")
-                self.run, self._wanted, self.told_ns = wanted, move, None
-                answer = await unit.run(since, "jog")
-            self.told_ns = answer.at_ns
-            self.began_ns = answer.at_ns + len(wanted.program) * self._options.line_us * NS_PER_US
+                await unit.require_not_restarted("loaded with its jog", "jog it again; its counter was reset")
+                self.run, self._wanted, self.accepted_ns = wanted, move, None
+                answer = await unit.run_program(since, "jog")
+            self.accepted_ns = answer.at_ns
+            self.began_ns = answer.at_ns + len(wanted.program_lines) * self._options.line_us * NS_PER_US
             unit.limit = "none"
 
     def _require_free(self) -> None:
         if self._busy():
-            raise CannotDo("busy", "a step is loaded or under way", "disarm or stop it")
+            raise Refusal("busy", "a step is loaded or in progress", "disarm or stop it")
         if not self._unit.enabled:
-            raise CannotDo("not-enabled", f"axis {self._name} is not enabled", f"enable {self._name} first")
+            raise Refusal("not-enabled", f"axis {self._name} is not enabled", f"enable {self._name} first")
 
     # Homing
 
-    async def home(self, found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        """Look for the reference; the counter is 0 there. Raises `CannotDo` when it was not begun."""
+    async def find_reference(self, found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        """Search for the reference; the counter is 0 there. Raises `Refusal` when the search did not begin."""
         unit = self._unit
         since = unit.session.stops
         async with unit.loading:
-            await unit.stopped()
+            await unit.wait_for_stops()
             self._require_free()
-            async with unit.in_one_go():
-                await unit.ready()
-                await unit.load(homing_program(self._axis), since)
-                await unit.require_not_restarted("told how to find its reference", "home it again")
-                await unit.run(since, "home")
+            async with unit.exclusive_turn():
+                await unit.require_ready()
+                await unit.load_program(homing_program(self._axis), since)
+                await unit.require_not_restarted("loaded with its reference search", "home it again")
+                await unit.run_program(since, "home")
         try:
-            while (await unit.status()).busy:
-                await sleep_ns(self._clock, _LOOK_NS)
-            why = await self._why_not(since)
+            while (await unit.read_status()).busy:
+                await sleep_ns(self._clock, _POLL_NS)
+            why = await self._search_failure(since)
         except BaseException:
-            # Nobody waits any more for what looks for it.
+            # After a cancellation nothing waits for the searching axis.
             with suppress(LinkClosed):
-                unit.stop("Z")
+                unit.write_stop("Z")
             raise
         finally:
             unit.doing = "nothing"
         if why:
             text = f"axis {self._name} has not found its reference: {why}"
-            return {self._name: CannotDo("homing-failed", text, "look at its inputs")}
+            return {self._name: Refusal("homing-failed", text, "check its inputs")}
         unit.lost = unit.overflow = False
         unit.limit = "none"
         found(self._name)
         return {}
 
-    async def _why_not(self, since: int) -> str:
-        """What the unit says of a search that has ended; empty: it has found it."""
+    async def _search_failure(self, since: int) -> str:
+        """Return why a search has failed; empty: it has succeeded."""
         unit = self._unit
-        await unit.stopped()
+        await unit.wait_for_stops()
         try:
-            unit.rest_counts = counts = await unit.position()
+            unit.rest_counts = counts = await unit.read_position()
             if unit.session.stops != since:
                 return "it was stopped"
             if not await unit.holds_sentinel():
-                return "the unit was restarted"
+                return "the controller was restarted"
             if unit.program_error:
                 return "its program has ended with an error"
             if counts != 0:
-                return f"it stands at {counts}"
+                return f"it is at {counts}"
             method = self._axis.homing.method
             if method != "default":
-                inputs, _ = await unit.points()
+                inputs, _ = await unit.read_points()
                 if not inputs[int(method[-1])]:
-                    return f"it was stopped by something else than user input {method[-1]}"
-        except Busy:
+                    return f"it was stopped by something other than user input {method[-1]}"
+        except ControllerBusy:
             return "another program runs"
         return ""
 
 
 def homing_program(axis: Axis) -> tuple[str, ...]:
-    """H, at the start rate to the input that it watches (L2076-L2086); or on, without ramps, until a user input is 1
-    (L2132-L2138), and the counter to 0 (L1829-L1846)."""
+    """Return the homing program: H, at the start rate to the input that it watches (L2076-L2086); or continuous motion,
+    without ramps, until a user input is 1 (L2132-L2138), and the counter to 0 (L1829-L1846)."""
     rate = homing_rate(axis)
     sign = "+" if axis.homing.direction == "positive" else "-"
     if axis.homing.method == "default":
@@ -175,26 +179,27 @@ def homing_program(axis: Axis) -> tuple[str, ...]:
     return f"S{min(rate + 1, 2000)}", f"T{rate}", "R1", f"N{number}{number}.91", f"g{sign}", "I1"
 
 
-def _lowered(name: str, move: JogMove, limits: Bounds, now: int, stops: int) -> Run:
-    """Whole numbers that do not go beyond `move`. What needs a longer ramp than the unit has is done more slowly."""
+def _make_run(name: str, move: JogMove, limits: Smc30Bounds, now: int, stops: int) -> ManualRun:
+    """Return whole numbers that do not exceed `move`. A ramp longer than the controller supports is replaced by a lower
+    rate."""
     asked = abs(move.velocity_counts_s)
     t = min(limits.top, floor(asked * (1 + _ROUNDING)))
     if t < TOP_MIN:
-        raise CannotDo("too-slow", f"axis {name}: {asked:g} steps/s is slower than it can go", f"at least {TOP_MIN}")
+        raise Refusal("too-slow", f"axis {name}: {asked:g} steps/s is below its lowest rate", f"at least {TOP_MIN}")
     sign = 1 if move.velocity_counts_s > 0 else -1
     end = sign * POSITION_MAX if move.end_counts is None else max(-POSITION_MAX, min(POSITION_MAX, move.end_counts))
     way = sign * (end - now)
     if way <= 0:
-        raise CannotDo(
+        raise Refusal(
             "at-end",
-            f"axis {name} stands at {now} steps; in this direction its way ends at {end}",
-            "jog it the other way",
+            f"axis {name} is at {now} steps; its range in this direction ends at {end}",
+            "jog in the other direction",
         )
     s = min(limits.start_min, limits.start_max)
     longest = min(RAMP_MAX, way // 2)
     t = min(t, floor(sqrt(s**2 + 2 * move.ramp_counts_s2 * longest)))
     if t <= s:
-        # Without a ramp, at no more than what it may start with (L2286).
-        return Run(min(t + 1, 2000), t, 1, now, end, stops)
+        # Without a ramp, at no more than its start rate (L2286).
+        return ManualRun(min(t + 1, 2000), t, 1, now, end, stops)
     r = max(1, min(longest, ceil((t**2 - s**2) / (2 * move.ramp_counts_s2) - _ROUNDING)))
-    return Run(s, t, r, now, end, stops)
+    return ManualRun(s, t, r, now, end, stops)

@@ -1,9 +1,9 @@
-"""One serial port with one unit behind it, or with a bus of up to seven: opened once, spoken to in turns.
+"""One serial port with one controller, or with a bus of up to seven: opened once, used in turns.
 
-Replies carry no address (L1504-L1512), so one exchange is under way at a time, and what comes belongs to it. Beside the
-turns two things are written: stops, at once, after which whatever is under way is disturbed and the line is left alone
-until no reply can come any more; and the starting lines of steps, each in a slot of its own in which nobody else
-speaks, so that what comes in it is the answer to that line.
+Replies carry no address (L1504-L1512), so one exchange is under way at a time, and a received reply belongs to it.
+Outside the turns two things are written. Stops, at once: they disturb the exchange under way, and the line is left idle
+until no reply can arrive. And the starting commands of steps, each in a slot of its own without other traffic, so that
+a reply in the slot is the answer to that command.
 """
 
 import asyncio
@@ -12,27 +12,28 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.smc30.frames import Reply, ReplyReader
+from adapters.smc30.frames import ReceivedReply, ReplyReader
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
+from orchestrator.model.errors import ControllerFault, Refusal
 
 SHARED = "smc30 line"
-"""Where the drivers of one line find it in `Setup.shared`."""
-LONGEST_REPLY = 24  # characters that a reply may take on the wire, beyond the time allowed for answering
-_STRAYS = 3  # so many second answers are no accident
+"""The key of the line in `DriverSetup.shared`."""
+LONGEST_REPLY = 24  # characters of a reply's transmission, beyond the time allowed for answering
+_STRAYS = 3  # this number of duplicate answers is not an accident
 
 
-class Disturbed(Exception):
-    """A stop was written while a reply was outstanding: nobody knows whose the next replies are."""
+class ExchangeDisturbed(Exception):
+    """A stop was written while a reply was outstanding: the sender of the next replies is unknown."""
 
 
 @dataclass(slots=True)
-class Shot:
-    """A slot for one line that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after that.
+class StartSlot:
+    """A slot for one command that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after
+    that.
 
-    late_ns: how much later than promised it may be written, and once it was, has been.
-    heard: its answer; None: none has come, or nobody knows which one is its.
+    late_ns: the largest delay beyond the guarantee; once the command was written, its real delay.
+    answer: its answer; None: none has arrived, or it cannot be assigned.
     """
 
     unit: int | None
@@ -40,31 +41,33 @@ class Shot:
     wire_ns: int
     each_ns: int
     late_ns: int = 0
-    heard: "asyncio.Future[Reply | None]" = field(
+    answer: "asyncio.Future[ReceivedReply | None]" = field(
         default_factory=lambda: asyncio.get_running_loop().create_future(), repr=False
     )
 
     @property
     def end_ns(self) -> int:
-        """Until then nobody else speaks: a host that is late gets one slot more."""
+        """The end of the slot for other traffic: a late host gets one more slot."""
         return self.begin_ns + self.wire_ns + 2 * self.each_ns + self.late_ns
 
-    def hear(self, reply: Reply | None) -> None:
-        if not self.heard.done():
-            self.heard.set_result(reply)
+    def set_answer(self, reply: ReceivedReply | None) -> None:
+        if not self.answer.done():
+            self.answer.set_result(reply)
 
 
 @dataclass(slots=True)
-class _Waiting:
-    """An exchange whose replies are still to come. first_ns: nothing that comes before can be an answer to it."""
+class _PendingExchange:
+    """An exchange whose replies are outstanding. first_ns: earliest arrival of an answer to it."""
 
     unit: int | None
     first_ns: int
-    replies: "asyncio.Queue[Reply | Exception]" = field(default_factory=lambda: asyncio.Queue[Reply | Exception]())
+    replies: "asyncio.Queue[ReceivedReply | Exception]" = field(
+        default_factory=lambda: asyncio.Queue[ReceivedReply | Exception]()
+    )
 
 
-class Line:
-    """One port. Made before any loop runs; every unit of the line joins it when its driver is built."""
+class Smc30Line:
+    """One port. Created before any loop runs; every controller of the line joins it when its driver is created."""
 
     def __init__(self, clock: Clock, with_checksum: bool, answer_ns: int) -> None:
         self.units: set[int | None] = set()
@@ -80,50 +83,51 @@ class Line:
         self._char_ns = 0
         self._reading: asyncio.Task[None] | None = None
         self._users: set[int | None] = set()
-        self._waiting: _Waiting | None = None
-        self._shots: list[Shot] = []
-        self._answers: list[Reply] = []
+        self._waiting: _PendingExchange | None = None
+        self._slots: list[StartSlot] = []
+        self._answers: list[ReceivedReply] = []
         self._settled_ns = 0
         self._last: int | None = None
         self._strays: Counter[int | None] = Counter()
 
-    def join(self, unit: int | None, answer_ns: int) -> int:
-        """A unit of the line is known; how many there are now."""
+    def register_controller(self, unit: int | None, answer_ns: int) -> int:
+        """Register a controller of the line; return their number."""
         self.units.add(unit)
         self._answer_ns = max(self._answer_ns, answer_ns)
         return len(self.units)
 
-    def place(self, unit: int | None) -> int:
-        """The place of a unit among the addresses of the line, from 0: the agreed order of starting lines."""
+    def order_index(self, unit: int | None) -> int:
+        """Return the index of a controller among the addresses of the line, from 0: the common order of starting
+        commands."""
         return sorted(each or 0 for each in self.units).index(unit or 0)
 
     def wire_ns(self, characters: int) -> int:
-        """How long so many characters are on the wire."""
+        """Return the transmission time of `characters` characters."""
         return characters * self._char_ns
 
     # The port
 
-    async def attach(self, unit: int | None, open_link: OpenLink, char_ns: int) -> None:
-        """See to it that the port is open. Raises `LinkRefused`."""
+    async def attach_controller(self, unit: int | None, open_link: OpenLink, char_ns: int) -> None:
+        """Open the port if it is not open. Raises `LinkRefused`."""
         async with self._opening:
             if self._link is None:
                 link = await open_link()
                 self._link, self._char_ns = link, max(char_ns, link.char_ns)
                 self._reader.clear()
                 self._strays.clear()
-                self._reading = asyncio.get_running_loop().create_task(self._read(link))
-                # What is half-typed is spoilt before it is ended: ended alone, it could be a command.
+                self._reading = asyncio.get_running_loop().create_task(self._read_replies(link))
+                # A half-typed command is spoiled before it is ended: ended alone, it could be valid.
                 link.write(b"?\r")
-                self._settle(2)
+                self._leave_idle(2)
             self._users.add(unit)
 
-    async def detach(self, unit: int | None) -> None:
-        """A unit is left; the port is closed after the last one."""
+    async def detach_controller(self, unit: int | None) -> None:
+        """Detach a controller; the port is closed after the last one."""
         async with self._opening:
             self._users.discard(unit)
             link = self._link
             if not self._users and link is not None:
-                self._lost(link, LinkClosed(f"{link.place} is closed"))
+                self._handle_link_loss(link, LinkClosed(f"{link.place} is closed"))
                 if self._reading is not None:
                     self._reading.cancel()
                 await link.close()
@@ -135,13 +139,13 @@ class Line:
             raise LinkClosed("the serial port is closed")
         return self._link
 
-    # Speaking in turns
+    # Exchanges in turns
 
     @asynccontextmanager
-    async def together(self) -> AsyncGenerator[None]:
-        """Exchanges with nobody else's between them; within a turn of the same task, a part of that.
+    async def exclusive_turn(self) -> AsyncGenerator[None]:
+        """Run exchanges without others in between; within a turn of the same task, a part of that.
 
-        Turns are given in the order in which they were asked for.
+        Turns are granted in the order of the requests.
         """
         task = asyncio.current_task()
         if self._owner is task:
@@ -154,30 +158,33 @@ class Line:
             finally:
                 self._owner = None
 
-    async def exchange(
+    async def run_exchange(
         self,
         unit: int | None,
         data: bytes,
-        whole: Callable[[list[Reply]], bool],
+        whole: Callable[[list[ReceivedReply]], bool],
         expected: int = LONGEST_REPLY,
-        still: Callable[[], None] | None = None,
-    ) -> tuple[int, list[Reply]]:
-        """Write a line in its turn and take replies until `whole` has enough; with the instant of writing.
+        before_send: Callable[[], None] | None = None,
+    ) -> tuple[int, list[ReceivedReply]]:
+        """Write a command in its turn and collect replies until `whole` has enough; return them with the instant of
+        writing.
 
-        expected: characters that they take. still: called just before writing; if it raises, nothing is written.
-        Raises `Disturbed`, `DriverFault` (no-answer, two-answers), `LinkClosed`. Gives what has come when it is silent.
+        expected: characters of the replies. before_send: called just before writing; if it raises, nothing is written.
+
+        Raises `ExchangeDisturbed`, `ControllerFault` (no-answer, two-answers), `LinkClosed`. Returns partial replies
+        on a timeout.
         """
-        async with self.together():
-            await self._free(len(data) + expected)
+        async with self.exclusive_turn():
+            await self._wait_for_gap(len(data) + expected)
             self._require_one_answer(unit)
-            if still is not None:
-                still()
+            if before_send is not None:
+                before_send()
             link, stops = self.link, self.stops
             sent_ns = link.write(data)
             arrived_ns = sent_ns + self.wire_ns(len(data))
-            waiting = self._waiting = _Waiting(unit, arrived_ns)
+            waiting = self._waiting = _PendingExchange(unit, arrived_ns)
             self._last = unit
-            replies: list[Reply] = []
+            replies: list[ReceivedReply] = []
             try:
                 while not whole(replies):
                     since_ns = max(arrived_ns, replies[-1].at_ns if replies else 0)
@@ -190,21 +197,21 @@ class Line:
             except TimeoutError:
                 pass
             except asyncio.CancelledError:
-                self._settle(len(data))
+                self._leave_idle(len(data))
                 raise
             finally:
                 self._waiting = None
             if self.stops != stops:
-                raise Disturbed
+                raise ExchangeDisturbed
             return sent_ns, replies
 
-    async def _free(self, characters: int) -> None:
-        """Until an exchange of so many characters can be ended before the next slot, and no reply is on its way."""
+    async def _wait_for_gap(self, characters: int) -> None:
+        """Wait until an exchange of `characters` characters can end before the next slot, and no reply is under way."""
         usual_ns = self.wire_ns(characters) + 10 * NS_PER_MS
         while True:
             now_ns = self._clock.now_ns()
             until_ns = self._settled_ns
-            for shot in self._shots:
+            for shot in self._slots:
                 if shot.begin_ns - usual_ns <= now_ns < shot.end_ns:
                     until_ns = max(until_ns, shot.end_ns)
             if until_ns <= now_ns:
@@ -215,101 +222,102 @@ class Line:
         if self._strays[unit] < _STRAYS:
             return
         self._strays[unit] = 0
-        raise DriverFault(
+        raise ControllerFault(
             "two-answers",
-            f"{self.link.place}: {_named(unit)} gives more answers than it was asked for",
-            "do two units have the same address? Is another program on the line?",
+            f"{self.link.place}: {_controller_name(unit)} gives more answers than requested",
+            "do two controllers have the same address? Is another program on the line?",
         )
 
-    # Speaking at once
+    # Writes outside turns
 
-    def shout(self, data: bytes) -> int:
-        """Write stops now, past everything that is under way; host time of writing. Raises `LinkClosed`."""
+    def write_at_once(self, data: bytes) -> int:
+        """Write stops now, bypassing everything that is under way; return the host time of writing. Raises
+        `LinkClosed`."""
         link = self.link
         self.stops += 1
         if self._waiting is not None:
-            self._waiting.replies.put_nowait(Disturbed())
+            self._waiting.replies.put_nowait(ExchangeDisturbed())
         at_ns = link.write(data)
-        self._settle(len(data) + LONGEST_REPLY)
+        self._leave_idle(len(data) + LONGEST_REPLY)
         return at_ns
 
-    def reserve(self, shot: Shot) -> None:
-        """Keep a slot free. Raises `CannotDo` when another one overlaps it."""
-        for other in self._shots:
-            if abs(shot.begin_ns - other.begin_ns) < max(shot.each_ns, other.each_ns):
-                raise CannotDo(
+    def reserve_slot(self, slot: StartSlot) -> None:
+        """Reserve a slot. Raises `Refusal` when another one overlaps it."""
+        for other in self._slots:
+            if abs(slot.begin_ns - other.begin_ns) < max(slot.each_ns, other.each_ns):
+                raise Refusal(
                     "line-busy",
-                    f"{_named(shot.unit)}: the line starts {_named(other.unit)} at that instant",
-                    "units of one line start in one step, or at least a second apart",
+                    f"{_controller_name(slot.unit)}: the line starts {_controller_name(other.unit)} at that instant",
+                    "start controllers of one line in one step, or at least a second apart",
                 )
-        self._shots.append(shot)
-        self._clock.call_at_ns(shot.end_ns, self._share_out)
+        self._slots.append(slot)
+        self._clock.call_at_ns(slot.end_ns, self._assign_answers)
 
-    def written(self, shot: Shot, late_ns: int) -> None:
-        """Its line was written, so much later than promised: the slot need not be longer than that."""
-        shot.late_ns = late_ns
-        self._clock.call_at_ns(shot.end_ns, self._share_out)
+    def record_write(self, slot: StartSlot, late_ns: int) -> None:
+        """Record that its command was written, with this delay beyond the guarantee: the slot is shortened to that."""
+        slot.late_ns = late_ns
+        self._clock.call_at_ns(slot.end_ns, self._assign_answers)
 
-    def release(self, shot: Shot) -> None:
-        """Its line was not and will not be written."""
-        shot.hear(None)
-        if shot in self._shots:
-            self._shots.remove(shot)
+    def free_slot(self, slot: StartSlot) -> None:
+        """Free a slot whose command was not and will not be written."""
+        slot.set_answer(None)
+        if slot in self._slots:
+            self._slots.remove(slot)
 
-    def _share_out(self) -> None:
-        """Units answer in the order of their slots: the answers of slots that follow each other are told apart by that,
-        because a host that is late could mistake the instants. If one is missing, nobody knows whose it is."""
+    def _assign_answers(self) -> None:
+        """Assign the answers of adjacent slots in the order of the slots, because the delay of a late host makes their
+        instants ambiguous. If an answer is missing, none of them can be assigned."""
         now_ns = self._clock.now_ns()
-        fired = sorted((shot for shot in self._shots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns)
+        fired = sorted((shot for shot in self._slots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns)
         if any(shot.end_ns > now_ns for shot in fired):
             return
         answers, self._answers = self._answers, []
         sure = len(answers) == len(fired)
         for number, shot in enumerate(fired):
-            shot.hear(answers[number] if sure else None)
-            self._shots.remove(shot)
+            shot.set_answer(answers[number] if sure else None)
+            self._slots.remove(shot)
 
-    # Hearing
+    # Reception
 
-    async def _read(self, link: Link) -> None:
+    async def _read_replies(self, link: Link) -> None:
         try:
             while True:
                 received = await link.read()
-                for reply in self._reader.feed(received.data, received.at_ns):
-                    self._take(reply)
+                for reply in self._reader.feed_bytes(received.data, received.at_ns):
+                    self._handle_reply(reply)
         except LinkClosed as error:
-            self._lost(link, error)
+            self._handle_link_loss(link, error)
 
-    def _take(self, reply: Reply) -> None:
-        if any(shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns for shot in self._shots):
+    def _handle_reply(self, reply: ReceivedReply) -> None:
+        if any(shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns for shot in self._slots):
             self._answers.append(reply)
             return
         waiting = self._waiting
         if waiting is not None and reply.at_ns >= waiting.first_ns:
             waiting.replies.put_nowait(reply)
         elif self._clock.now_ns() >= self._settled_ns:
-            # Nobody is asked, or nobody can have answered yet: a second answer to what was asked last.
+            # No query is outstanding, or it cannot be answered yet: a duplicate answer to the last query.
             self._strays[self._last] += 1
             if waiting is None:
-                self._settle(0)
+                self._leave_idle(0)
 
-    def _settle(self, characters: int) -> None:
-        """Leave the line alone until no reply to what was just written can come any more."""
+    def _leave_idle(self, characters: int) -> None:
+        """Leave the line idle until no reply to the last write can arrive."""
         until_ns = self._clock.now_ns() + self.wire_ns(characters) + self._answer_ns
         self._settled_ns = max(self._settled_ns, until_ns)
 
-    def _lost(self, link: Link, error: LinkClosed) -> None:
+    def _handle_link_loss(self, link: Link, error: LinkClosed) -> None:
         if self._link is link:
             self._link = None
             self._settled_ns = 0
             self._users.clear()
         if self._waiting is not None:
             self._waiting.replies.put_nowait(error)
-        for shot in self._shots:
-            shot.hear(None)
-        self._shots.clear()
+        for shot in self._slots:
+            shot.set_answer(None)
+        self._slots.clear()
         self._answers.clear()
 
 
-def _named(unit: int | None) -> str:
-    return "the unit" if unit is None else f"unit {unit}"
+def _controller_name(unit: int | None) -> str:
+    return "the controller" if unit is None else f"unit {unit}"

@@ -1,41 +1,45 @@
-"""Profiles to a program of the SMC30, and the instant at which it is started.
+"""Lowering to a program of the SMC30, and to the instant at which it is started.
 
-A program that the host starts (E) holds a delay that is as long as the line still needs for the units after it:
-starting lines follow each other in slots of whole hundredths of a second, so that the delays, which come in hundredths,
-make all units of the line begin together. The last one waits one slot as well, and all programs are alike up to the
-motion. A program that waits for a wired line holds N instead (L2088-L2147). Targets are absolute: what is carried
-out twice by mistake moves nothing twice.
+A program that the host starts (E) contains a delay for the time that the line still needs for the following
+controllers: starting commands follow each other in slots of whole hundredths of a second, so that the delays, which are
+multiples of hundredths, make all controllers of the line begin together. The last one waits one slot as well, and all
+programs are alike up to the motion. A program that waits for a trigger line contains N instead (L2088-L2147). Targets
+are absolute: a repeated execution by mistake moves nothing twice.
 """
 
 from dataclasses import dataclass
 from math import ceil
 from typing import Literal
 
-from adapters.contract import CannotDo, Lowered, require_how, too_quick
-from adapters.smc30.options import Options
-from adapters.smc30.ramp import Shape, fit
-from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, bounds, only_axis
-from adapters.toolkit.path_error import in_host_time, path_error_counts
-from adapters.toolkit.wired_points import driven, waited_for
+from adapters.contract import Lowered, ends_too_early, require_start_class
+from adapters.smc30.options import Smc30DriverOptions
+from adapters.smc30.ramp import Smc30Shape, fit_shape
+from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, axis_bounds, only_axis
+from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
+from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.inferred import KnownClock
 from orchestrator.clock.latency import Latency
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineDrive, LineWait, StartWay, Term
+from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, TriggerWait
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs, StartClass
+from orchestrator.model.state import StartClass, StepCosts
 
 DELAY_NS = 10 * NS_PER_MS  # D counts hundredths of a second (L2525)
 DELAY_MAX = 32_000
-LINES_BEFORE = 5  # program lines up to the motion or the edge, with the one that does it: S, T, R, D, G or A
+LINES_BEFORE = 5  # program lines up to and including the one that begins the motion or the edge: S, T, R, D, G or A
 GAP_LINES = 2  # between two motor commands: T, G
-_START_CHARACTERS = 4  # of a starting line: address, E, checksum, CR
+_START_CHARACTERS = 4  # of a starting command: address, E, checksum, CR
 _ANSWER_CHARACTERS = 3  # Y, checksum, CR
 
 
 @dataclass(frozen=True, slots=True)
-class Slots:
-    """How the starting lines of a bus follow each other. place: of this unit, from 0. each_ns: whole `DELAY_NS`."""
+class SlotSchedule:
+    """The sequence of starting commands of a bus.
+
+    place: index of this controller, from 0.
+    each_ns: length of a slot, a multiple of `DELAY_NS`."""
 
     place: int
     count: int
@@ -43,24 +47,25 @@ class Slots:
 
     @property
     def delay_ns(self) -> int:
-        """What this unit's program waits for, to begin together with the others."""
+        """The delay in this controller's program, with which it begins together with the others."""
         return (self.count - self.place) * self.each_ns
 
 
-def slots(options: Options, char_ns: int, place: int, count: int) -> Slots:
-    """From the end of one starting line to the end of the next; by then the first is answered, as late as it may be.
+def make_slot_schedule(options: Smc30DriverOptions, char_ns: int, place: int, count: int) -> SlotSchedule:
+    """Return the slots. A slot is the time from the end of one starting command to the end of the next; by then the
+    first is answered, at its latest.
 
-    The next one is on its way while the answer comes: both directions have a wire of their own.
+    The next command is sent while the answer arrives: each direction has a conductor of its own.
     """
     late_us = options.fire_late_us + options.decode_us + options.decode_spread_us
     late_us += 2 * options.wire_jitter_us + options.hold_us
     needed_ns = max(_ANSWER_CHARACTERS * char_ns + late_us * NS_PER_US, _START_CHARACTERS * char_ns)
-    return Slots(place, count, ceil(needed_ns / DELAY_NS) * DELAY_NS)
+    return SlotSchedule(place, count, ceil(needed_ns / DELAY_NS) * DELAY_NS)
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """An input or output of the unit that a step uses. high: its level when active."""
+class StepPoint:
+    """An input or output of the controller that a step uses. high: its level when active."""
 
     name: str
     number: int
@@ -68,56 +73,61 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class SmcLowered(Lowered):
-    """What `arm` needs. lead_ns: the end of the starting line is at the unit so long before T0. program_ns: from there
-    to the motion or the edge, least and most. target: None, when nothing moves."""
+class Smc30Lowered(Lowered):
+    """A lowered step with what `arm_move` needs.
+
+    lead_ns: the end of the starting command reaches the controller this long before T0.
+    program_ns: from there to the motion or the edge, shortest and longest.
+    target: None when nothing moves."""
 
     axis: str = ""
     start_counts: int = 0
     target: int | None = None
-    shape: Shape | None = None
+    shape: Smc30Shape | None = None
     program: tuple[str, ...] = ()
     lead_ns: int = 0
     program_ns: tuple[int, int] = (0, 0)
-    wait: Point | None = None
-    drive: Point | None = None
+    wait: StepPoint | None = None
+    drive: StepPoint | None = None
     window_ns: tuple[int, int] = (0, 0)
-    """About T0: where the start lies, by all terms."""
+    """Interval of the start relative to T0, from all terms."""
 
 
-def lower(
+def lower_step(
     config: Controller,
-    options: Options,
-    costs: Costs,
-    schedule: Slots,
+    options: Smc30DriverOptions,
+    costs: StepCosts,
+    schedule: SlotSchedule,
     known: KnownClock,
     profiles: dict[str, Profile],
-    how: StartWay,
-) -> SmcLowered:
-    """known: of the unit's clock. Raises `CannotDo`."""
-    require_how(how, ("host", "line"), "the SMC30 has no readable clock to start by")
-    wait, drive = _awaited(config, how.wait), _driven(config, how.drive)
+    start: StartOptions,
+) -> Smc30Lowered:
+    """Lower a step. known: knowledge about the controller's clock. Raises `Refusal`."""
+    require_start_class(start, ("host", "line"), "the SMC30 has no readable clock to start by")
+    wait, drive = _wait_point(config, start.wait), _drive_point(config, start.drive)
     if wait is not None and drive is not None:
-        raise CannotDo(
+        raise Refusal(
             "start-class",
-            f"no output {drive.name} at T0 for a unit that waits for input {wait.name}: its program does one thing "
-            "at a time",
-            "have another controller drive the line",
+            f"no output {drive.name} at T0 for a controller that waits for input {wait.name}: its program "
+            "does one thing at a time",
+            "let another controller drive the trigger line",
         )
-    if how.wait is None and how.by == "line":
-        raise CannotDo("start-class", "no start by line: no input is named to wait for", "name it in the wiring")
+    if start.wait is None and start.start_class == "line":
+        raise Refusal(
+            "start-class", "no start by trigger line: no input is named to wait for", "name the input in `wiring`"
+        )
     axis, _ = only_axis(config)
     profile = profiles.get(axis)
-    shape = None if profile is None else _shape(config, options, profile, known.rate.factor, how)
+    shape = None if profile is None else _fit_shape(config, options, profile, known.rate.factor, start)
     start_counts = 0 if profile is None else profile.start_counts
     target = None if profile is None or shape is None else profile.end_counts
     lead_ns = known.latency.usual_ns + schedule.delay_ns
-    hold_ns = 0 if how.drive is None else how.drive.hold_ns
-    program = _program(shape, start_counts, target, schedule, wait, drive, hold_ns)
+    hold_ns = 0 if start.drive is None else start.drive.active_ns
+    program = _build_program(shape, start_counts, target, schedule, wait, drive, hold_ns)
     edge = _host_terms(options, schedule, known.latency)
     start_class: StartClass = "host"
-    if wait is not None and how.wait is not None:
-        start_class, terms = "line", _line_terms(options, how.wait)
+    if wait is not None and start.wait is not None:
+        start_class, terms = "line", _line_terms(options, start.wait)
     elif drive is not None:
         # The motion is the line after the one that switches the output.
         terms = _host_terms(options, schedule, known.latency, lines_after=1)
@@ -125,7 +135,7 @@ def lower(
         terms = edge
     scale = 1 / known.rate.factor
     duration_s = 0.0 if shape is None else shape.duration_s * scale
-    return SmcLowered(
+    return Smc30Lowered(
         start_class=start_class,
         durations_s={} if profile is None else {axis: duration_s},
         path_error_counts={} if profile is None else {axis: _path_error(profile, shape, scale)},
@@ -133,7 +143,7 @@ def lower(
         edge=edge if drive is not None else (),
         tick_ns=0.0,
         clock_ppm=known.clock_ppm(duration_s),
-        sooner=True,
+        can_advance=True,
         costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
         axis=axis,
@@ -149,8 +159,8 @@ def lower(
     )
 
 
-def move_lines(shape: Shape, start_counts: int, target: int) -> tuple[list[str], list[str]]:
-    """Parameters of the first motor command; and that command, with all that follows it."""
+def move_lines(shape: Smc30Shape, start_counts: int, target: int) -> tuple[list[str], list[str]]:
+    """Return the parameters of the first motor command, and that command with everything that follows it."""
     sign = 1 if target > start_counts else -1
     first, *rest = shape.parts
     at = start_counts + sign * first.steps
@@ -159,21 +169,21 @@ def move_lines(shape: Shape, start_counts: int, target: int) -> tuple[list[str],
         at += sign * part.steps
         moves += [f"T{part.t}", f"G{at:+d}"]
     # T below S is a constant rate (L2286).
-    s = max(min(START_MAX, part.t + 1) if part.constant else part.s for part in shape.parts)
+    s = max(min(START_MAX, part.t + 1) if part.is_constant else part.s for part in shape.parts)
     return [f"S{s}", f"T{first.t}", f"R{first.r}"], moves
 
 
-def _program(
-    shape: Shape | None,
+def _build_program(
+    shape: Smc30Shape | None,
     start_counts: int,
     target: int | None,
-    schedule: Slots,
-    wait: Point | None,
-    drive: Point | None,
+    schedule: SlotSchedule,
+    wait: StepPoint | None,
+    drive: StepPoint | None,
     hold_ns: int,
 ) -> tuple[str, ...]:
     if shape is None or target is None:
-        # Nothing moves; the parameters are there so that all programs take the same time up to the edge.
+        # Without motion, the parameters make all programs take the same time up to the edge.
         parameters, moves = [f"S{START_MIN}", f"T{START_MIN}", "R1"], list[str]()
     else:
         parameters, moves = move_lines(shape, start_counts, target)
@@ -188,8 +198,10 @@ def _program(
     return (*parameters, delay, f"{on}{drive.number}", *moves, *hold, f"{off}{drive.number}")
 
 
-def _program_ns(options: Options, schedule: Slots, drive: Point | None, target: int | None) -> tuple[int, int]:
-    """From the answer to E to the motion, or to the edge of a unit that does not move."""
+def _program_ns(
+    options: Smc30DriverOptions, schedule: SlotSchedule, drive: StepPoint | None, target: int | None
+) -> tuple[int, int]:
+    """Return the time from the answer to E to the motion, or to the edge of a controller that does not move."""
     lines = LINES_BEFORE + (drive is not None and target is not None)
     line_ns, spread_ns = options.line_us * NS_PER_US, options.line_spread_us * NS_PER_US
     slow_ns = ceil(schedule.delay_ns * options.clock_ppm * 1e-6)
@@ -197,83 +209,87 @@ def _program_ns(options: Options, schedule: Slots, drive: Point | None, target: 
     return middle_ns - lines * spread_ns - slow_ns, middle_ns + lines * spread_ns + slow_ns
 
 
-def _host_terms(options: Options, schedule: Slots, start: Latency, lines_after: int = 0) -> tuple[Term, ...]:
-    """The delay counts by a crystal of which no more is taken for known here than what is assumed."""
+def _host_terms(
+    options: Smc30DriverOptions, schedule: SlotSchedule, start: Latency, lines_after: int = 0
+) -> tuple[BudgetTerm, ...]:
+    """Return the host's terms. The delay is counted by the crystal, for which only the assumed error is used here."""
     after_us, spread_us = lines_after * options.line_us, lines_after * options.line_spread_us
     slow_ns = ceil(schedule.delay_ns * options.clock_ppm * 1e-6)
     first_ns = start.earliest_ns - start.usual_ns + (after_us - spread_us) * NS_PER_US
     last_ns = start.latest_ns - start.usual_ns + (after_us + spread_us - options.wire_jitter_us) * NS_PER_US
     return (
         options.host_term(),
-        _term("wire", 0, options.wire_jitter_us),
-        Term(name="firmware", earliest_ns=first_ns - slow_ns, latest_ns=last_ns + slow_ns),
+        _make_term("wire", 0, options.wire_jitter_us),
+        BudgetTerm(name="firmware", earliest_ns=first_ns - slow_ns, latest_ns=last_ns + slow_ns),
     )
 
 
-def _line_terms(options: Options, wait: LineWait) -> tuple[Term, ...]:
+def _line_terms(options: Smc30DriverOptions, wait: TriggerWait) -> tuple[BudgetTerm, ...]:
     least_us = max(0, options.start_us - options.start_spread_us)
     return (
-        Term(name="line", earliest_ns=wait.earliest_ns, latest_ns=wait.latest_ns),
-        _term("input", 0, options.input_filter_us + options.input_poll_us),
-        _term("firmware", -least_us, options.start_us + options.start_spread_us),
+        BudgetTerm(name="line", earliest_ns=wait.earliest_ns, latest_ns=wait.latest_ns),
+        _make_term("input", 0, options.input_filter_us + options.input_poll_us),
+        _make_term("firmware", -least_us, options.start_us + options.start_spread_us),
     )
 
 
-def _term(name: Literal["wire", "firmware", "input"], early_us: int, late_us: int) -> Term:
-    return Term(name=name, earliest_ns=-early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
+def _make_term(name: Literal["wire", "firmware", "input"], early_us: int, late_us: int) -> BudgetTerm:
+    return BudgetTerm(name=name, earliest_ns=-early_us * NS_PER_US, latest_ns=late_us * NS_PER_US)
 
 
-def _awaited(config: Controller, wait: LineWait | None) -> Point | None:
+def _wait_point(config: Controller, wait: TriggerWait | None) -> StepPoint | None:
     if wait is None:
         return None
-    point = waited_for(config, wait)
-    return Point(wait.input, point.number, point.active == "high")
+    point = find_wait_input(config, wait)
+    return StepPoint(wait.input, point.number, point.active == "high")
 
 
-def _driven(config: Controller, drive: LineDrive | None) -> Point | None:
+def _drive_point(config: Controller, drive: TriggerDrive | None) -> StepPoint | None:
     if drive is None:
         return None
-    point = driven(config, drive)
-    return Point(drive.output, point.number, point.active == "high")
+    point = find_driven_output(config, drive)
+    return StepPoint(drive.output, point.number, point.active == "high")
 
 
-def _shape(config: Controller, options: Options, profile: Profile, correction: float, how: StartWay) -> Shape | None:
-    """correction: seconds of the unit's crystal in one of the host's."""
+def _fit_shape(
+    config: Controller, options: Smc30DriverOptions, profile: Profile, correction: float, start: StartOptions
+) -> Smc30Shape | None:
+    """Return the shape of the move. correction: seconds of the controller's crystal per host second."""
     name, axis = only_axis(config)
     if any(profile.jerks):
-        raise CannotDo("jerk", f"axis {name}: the SMC30 can not limit jerk", "leave `jerk` out of the axis's limits")
+        raise Refusal("jerk", f"axis {name}: the SMC30 cannot limit jerk", "remove `jerk` from the axis's limits")
     steps = abs(profile.end_counts - profile.start_counts)
     if steps == 0:
         return None
     if max(abs(profile.end_counts), abs(profile.start_counts)) > POSITION_MAX:
-        raise CannotDo(
+        raise Refusal(
             "too-far",
-            f"axis {name}: a move to {profile.end_counts} steps is beyond the counter's {POSITION_MAX}",
+            f"axis {name}: a move to {profile.end_counts} steps exceeds the counter's {POSITION_MAX}",
             "home the axis, or make the move shorter",
         )
-    limits, wanted_s = bounds(axis), profile.duration_s
+    limits, wanted_s = axis_bounds(axis), profile.duration_s
     gap_s = GAP_LINES * options.line_us * 1e-6
-    shape = fit(steps, wanted_s * correction, profile.durations_s[0] * correction, limits, gap_s)
+    shape = fit_shape(steps, wanted_s * correction, profile.durations_s[0] * correction, limits, gap_s)
     if shape is None:
-        raise CannotDo(
+        raise Refusal(
             "limits",
-            f"axis {name}: no rates of {START_MIN} to {limits.top} steps/s with a start rate of {limits.start_min} to "
-            f"{limits.start_max} steps/s keep its acceleration over {steps} steps",
+            f"axis {name}: no rates of {START_MIN} to {limits.top} steps/s with a start rate of "
+            f"{limits.start_min} to {limits.start_max} steps/s respect its acceleration over {steps} steps",
             "correct `start_rate`, or allow more acceleration",
         )
-    if too_quick(shape.duration_s / correction, wanted_s, how):
-        raise CannotDo(
+    if ends_too_early(shape.duration_s / correction, wanted_s, start):
+        raise Refusal(
             "too-slow",
-            f"axis {name}: {steps} steps in {wanted_s:.6g} s is slower than the unit can; the longest that it can take "
-            f"is {shape.duration_s / correction:.6g} s",
+            f"axis {name}: {steps} steps in {wanted_s:.6g} s is too slow for the controller; its longest "
+            f"duration is {shape.duration_s / correction:.6g} s",
             f"plan {shape.duration_s / correction:.6g} s or less, lower `start_rate.min`, or let it end early with "
             "`max_end_skew`",
         )
     return shape
 
 
-def _path_error(profile: Profile, shape: Shape | None, scale: float) -> float:
-    """scale: host seconds of a second of the unit."""
+def _path_error(profile: Profile, shape: Smc30Shape | None, scale: float) -> float:
+    """Return the path error. scale: host seconds per second of the controller."""
     if shape is None:
         return 0.0
-    return path_error_counts(profile, in_host_time(shape.legs, 1 / scale))
+    return path_error_counts(profile, legs_in_host_time(shape.motion_legs, 1 / scale))

@@ -1,45 +1,46 @@
-"""The make: what the entry point names."""
+"""The make for the entry point."""
 
 from pydantic import BaseModel
 
-from adapters.contract import Setup
+from adapters.contract import DriverSetup
 from adapters.smc30 import unitaxis
-from adapters.smc30.driver import SmcDriver
-from adapters.smc30.frames import CR, checksum, line
-from adapters.smc30.options import Options
+from adapters.smc30.driver import Smc30Driver
+from adapters.smc30.frames import CR, frame_line, line_checksum
+from adapters.smc30.options import Smc30DriverOptions
 from orchestrator.model.fleet import Controller
 
 
-class Smc30:
-    """JVL SMC30B and SMC30C over a serial port, alone or up to seven on one, or a unit behind a TCP bridge."""
+class Smc30Make:
+    """JVL SMC30B and SMC30C over a serial port, alone or up to seven on one, or a controller behind a TCP bridge."""
 
     @property
     def name(self) -> str:
         return "smc30"
 
     @property
-    def options(self) -> type[BaseModel]:
-        return Options
+    def options_model(self) -> type[BaseModel]:
+        return Smc30DriverOptions
 
-    def check(self, config: Controller) -> None:
-        unitaxis.check(config)
+    def check_config(self, config: Controller) -> None:
+        unitaxis.check_fleet(config)
 
-    def driver(self, setup: Setup) -> SmcDriver:
+    def create_driver(self, setup: DriverSetup) -> Smc30Driver:
         options = setup.options
-        assert isinstance(options, Options)
-        return SmcDriver(setup, options)
+        assert isinstance(options, Smc30DriverOptions)
+        return Smc30Driver(setup, options)
 
     def stop_bytes(self, config: Controller) -> bytes:
-        """Spoil what is half-typed, and stop all units of the line.
+        """Return bytes that spoil a half-typed command, and stop all controllers of the line.
 
-        By ramp; but the one whose checksum would be a CR is killed, because it is not said whether that is understood.
+        By ramp; but a controller whose checksum would be a CR is killed, because the manual does not state whether that
+        command is understood.
         """
-        with_checksum = Options.model_validate(config.options).checksum
-        own = unitaxis.address(config)
-        units = [None] if own is None else list(unitaxis.UNITS)
-        return b"?\r" + b"".join(_stop(unit, with_checksum) for unit in units)
+        with_checksum = Smc30DriverOptions.model_validate(config.options).checksum
+        own = unitaxis.line_address(config)
+        units = [None] if own is None else list(unitaxis.LINE_ADDRESSES)
+        return b"?\r" + b"".join(_stop_frames(unit, with_checksum) for unit in units)
 
 
-def _stop(unit: int | None, with_checksum: bool) -> bytes:
-    unclear = with_checksum and checksum(line("Z", unit, with_checksum=False)[:-1]) == CR
-    return line("K" if unclear else "Z", unit, with_checksum)
+def _stop_frames(unit: int | None, with_checksum: bool) -> bytes:
+    unclear = with_checksum and line_checksum(frame_line("Z", unit, with_checksum=False)[:-1]) == CR
+    return frame_line("K" if unclear else "Z", unit, with_checksum)

@@ -1,50 +1,52 @@
-"""One poll: what the unit does, where it stands, its inputs and outputs, and whether it was switched off meanwhile.
+"""One poll: the controller's activity, its position, its inputs and outputs, and whether it was power-cycled meanwhile.
 
-A unit that executes a program answers nothing but that it is busy (L1519-L1522); some may give their position. Else it
-is where its profile says.
+A controller that executes a program answers only that it is busy (L1519-L1522); some models may report their position.
+Otherwise the position is taken from the profile.
 """
 
-from adapters.contract import AxisReading, Reading, Restarted
-from adapters.smc30.hand import Hand
-from adapters.smc30.mover import Move, Mover
-from adapters.smc30.ramp import Ramp, Shape
-from adapters.smc30.session import Busy
-from adapters.smc30.unitstate import Status, UnitState
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
+from adapters.smc30.hand import Smc30ManualMotion
+from adapters.smc30.mover import LoadedStep, Smc30Mover
+from adapters.smc30.ramp import Smc30Ramp, Smc30Shape
+from adapters.smc30.session import ControllerBusy
+from adapters.smc30.unitstate import ActivityReading, Smc30State
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.fleet import Controller
-from orchestrator.model.state import Fault
+from orchestrator.model.state import FaultReport
 
 
-class Poller:
-    """Reads the unit's state. Costs F, V1 and VR, and V2 where inputs or outputs are named; in motion F alone."""
+class Smc30Poller:
+    """Read the controller's state. Costs F, V1 and VR, and V2 where inputs or outputs are named; in motion F alone."""
 
-    def __init__(self, config: Controller, clock: Clock, unit: UnitState, mover: Mover, hand: Hand) -> None:
+    def __init__(
+        self, config: Controller, clock: Clock, unit: Smc30State, mover: Smc30Mover, manual_motion: Smc30ManualMotion
+    ) -> None:
         self._axis = next(iter(config.axes))
         self._points_named = bool(config.inputs or config.outputs)
         self._clock = clock
         self._unit = unit
         self._mover = mover
-        self._hand = hand
+        self._manual_motion = manual_motion
         self._inputs: dict[int, bool] = {}
         self._outputs: dict[int, bool] = {}
 
-    async def poll(self) -> Reading:
-        """Raises `Restarted`."""
+    async def poll_state(self) -> ControllerReading:
+        """Read the state. Raises `ControllerRestarted`."""
         unit = self._unit
-        now = await unit.status()
-        # In Programming Mode neither position nor inputs are told; it stands where it stood.
+        now = await unit.read_status()
+        # In Programming Mode neither position nor inputs can be read; the axis has not moved.
         if not now.busy and not unit.loading.locked():
             try:
                 async with unit.loading:
-                    await self._at_rest()
-            except Busy:
-                now = await unit.status()
+                    await self._query_at_rest()
+            except ControllerBusy:
+                now = await unit.read_status()
         if not now.busy:
-            self._mover.seen_ready(now.sent_ns)
-            self._settled(now)
+            self._mover.record_ready(now.sent_ns)
+            self._handle_rest(now)
             counts, velocity, moving = unit.rest_counts, 0.0, False
         else:
-            counts, velocity, moving = await self._in_motion(now.at_ns)
+            counts, velocity, moving = await self._read_in_motion(now.at_ns)
         axis = AxisReading(
             commanded_counts=counts,
             actual_counts=float(counts),
@@ -52,68 +54,68 @@ class Poller:
             moving=moving,
             enabled=unit.enabled,
             limit=unit.limit,
-            lost=unit.lost,
+            position_lost=unit.lost,
         )
-        return Reading(
+        return ControllerReading(
             at_ns=now.at_ns,
             axes={self._axis: axis},
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
-            faults=self._faults(),
+            faults=self._controller_faults(),
         )
 
-    async def _at_rest(self) -> None:
-        """Ask everything. Raises `Busy`."""
+    async def _query_at_rest(self) -> None:
+        """Query everything. Raises `ControllerBusy`."""
         unit = self._unit
         await unit.leave_programming()
-        unit.rest_counts = await unit.position()
+        unit.rest_counts = await unit.read_position()
         if self._points_named:
-            self._inputs, self._outputs = await unit.points()
-        # Behind it: what it has said is true of an axis that still knows where it is.
+            self._inputs, self._outputs = await unit.read_points()
+        # After the queries: a passed restart check makes their values valid for a referenced axis.
         if not await unit.holds_sentinel():
-            raise Restarted()
+            raise ControllerRestarted()
 
-    def _settled(self, now: Status) -> None:
-        """At rest: a jog that had been told to begin before that was asked has ended."""
-        unit, run, told_ns = self._unit, self._hand.run, self._hand.told_ns
+    def _handle_rest(self, now: ActivityReading) -> None:
+        """Handle a reading at rest: a jog whose command was accepted before it has ended."""
+        unit, run, told_ns = self._unit, self._manual_motion.run, self._manual_motion.accepted_ns
         if unit.doing == "jog" and told_ns is not None and now.sent_ns > told_ns:
             unit.doing = "nothing"
             if run is not None and unit.session.stops == run.stops and unit.rest_counts != run.end:
-                unit.limit = "forward" if run.sign > 0 else "reverse"
+                unit.limit = "forward" if run.direction_sign > 0 else "reverse"
 
-    async def _in_motion(self, at_ns: int) -> tuple[int, float, bool]:
+    async def _read_in_motion(self, at_ns: int) -> tuple[int, float, bool]:
         unit, move = self._unit, self._mover.move
         counts, velocity, moving = unit.rest_counts, 0.0, True
         if unit.doing == "step" and move is not None:
-            counts, velocity, moving = _on_its_way(move, at_ns)
-        elif unit.doing == "jog" and self._hand.run is not None:
-            run = self._hand.run
-            shape = Shape((Ramp(abs(run.end - run.begin), run.s, run.t, run.r),))
-            steps, rate = shape.at((at_ns - self._hand.began_ns) / NS_PER_S)
-            counts, velocity = run.begin + run.sign * round(steps), run.sign * rate
+            counts, velocity, moving = _profile_position(move, at_ns)
+        elif unit.doing == "jog" and self._manual_motion.run is not None:
+            run = self._manual_motion.run
+            shape = Smc30Shape((Smc30Ramp(abs(run.end - run.begin), run.s, run.t, run.r),))
+            steps, rate = shape.state_at((at_ns - self._manual_motion.began_ns) / NS_PER_S)
+            counts, velocity = run.begin + run.direction_sign * round(steps), run.direction_sign * rate
         if unit.live is not False and moving:
             try:
-                place = await unit.place()
+                place = await unit.read_place()
                 counts, unit.live = place.counts, True
-                self._mover.told(place)
-            except Busy:
+                self._mover.add_position(place)
+            except ControllerBusy:
                 unit.live = False
         return counts, velocity, moving
 
-    def _faults(self) -> list[Fault]:
+    def _controller_faults(self) -> list[FaultReport]:
         unit = self._unit
-        found: list[Fault] = []
+        found: list[FaultReport] = []
         if unit.overflow:
             found.append(
-                Fault(
+                FaultReport(
                     code="counter-overflow",
-                    text=f"{unit.session.name}: the position counter has run over; the motor was stopped (E5)",
+                    text=f"{unit.session.name}: the position counter has overflowed; the motor was stopped (E5)",
                     remedy="clear it with `tutti reset`, then home",
                 )
             )
         if unit.program_error:
             found.append(
-                Fault(
+                FaultReport(
                     code="program-error",
                     text=f"{unit.session.name}: its program has ended with an error (E4)",
                     remedy="clear it with `tutti reset`; was another program loaded?",
@@ -122,8 +124,8 @@ class Poller:
         return found
 
 
-def _on_its_way(move: Move, at_ns: int) -> tuple[int, float, bool]:
-    """Where a step has got to by its profile, from the middle of what is known of its start."""
+def _profile_position(move: LoadedStep, at_ns: int) -> tuple[int, float, bool]:
+    """Return the position of a step by its profile, from the middle of the interval of its start."""
     lowered = move.lowered
     if lowered.shape is None or lowered.target is None:
         return lowered.start_counts, 0.0, False
@@ -132,5 +134,5 @@ def _on_its_way(move: Move, at_ns: int) -> tuple[int, float, bool]:
     if move.started is not None:
         start_ns = (move.started.earliest_ns + move.started.latest_ns) // 2
     sign = 1 if lowered.target > lowered.start_counts else -1
-    steps, rate = lowered.shape.at((at_ns - start_ns) / NS_PER_S)
+    steps, rate = lowered.shape.state_at((at_ns - start_ns) / NS_PER_S)
     return lowered.start_counts + sign * round(steps), sign * rate, at_ns > start_ns

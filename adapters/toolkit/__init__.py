@@ -1,1 +1,1 @@
-"""Parts that several makes share."""
+"""Components that several makes share."""

@@ -1,8 +1,8 @@
-"""Bytes that are written at an instant: how late they may be, the order, the last step that all firers share, and the
-firer of a loop.
+"""Timed writes: bytes written at an instant. Bounds of their delay, the order, the final step common to all timed
+writers, and the writer that uses the event loop.
 
-Live, a process of its own fires (`adapters.host.firing_process`): beside a busy event loop even a thread is late by
-milliseconds. In virtual time the loop is exact, so it fires itself, through the same last step.
+In live runs a separate process writes (`adapters.host.firing_process`): next to a busy event loop even a thread is late
+by milliseconds. In virtual time the loop is exact, so the loop itself writes, through the same final step.
 """
 
 import asyncio
@@ -12,122 +12,126 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from adapters.contract import DriverFault, Fired, Firer
+from adapters.contract import TimedWriter, WriteResult
 from orchestrator.clock.base import NS_PER_US, Clock, Timer
 from orchestrator.link.base import Link
-from orchestrator.model.messages import Term
+from orchestrator.model.errors import ControllerFault
+from orchestrator.model.messages import BudgetTerm
 
-Micro = Annotated[int, Field(ge=0, le=1_000_000)]
+Microseconds = Annotated[int, Field(ge=0, le=1_000_000)]
 
-PUNCTUAL_US = 200
-"""How late a start may be written in virtual time, where nothing delays it."""
-URGENT_US = 1000
-"""How late by a real-time process: of some hundreds on a virtual machine, whose processors others may have for a
-moment, 99 in a hundred were less than 60 µs late, and the latest 270 to 300 µs."""
-ORDINARY_US = 5000
-"""How late by a process that is no more urgent than others: of 400 wake-ups beside two and beside four that compute, on
-two processors, 16 and 33 were later than 200 µs, one and none later than this."""
+VIRTUAL_DELAY_US = 200
+"""Largest delay of a start command in virtual time, where nothing delays it."""
+REALTIME_DELAY_US = 1000
+"""Largest delay in a real-time process: of some hundreds of writes on a virtual machine, whose processors other
+machines may occupy for a moment, 99 in a hundred were less than 60 µs late, and the latest 270 to 300 µs."""
+ORDINARY_DELAY_US = 5000
+"""Largest delay in a process of ordinary priority: of 400 wake-ups with two and with four computing processes, on two
+processors, 16 and 33 were later than 200 µs, one and none later than this."""
 
 
 class FiringOptions(BaseModel):
-    """Options of a make that is started by bytes at an instant. Bounds that the step's budget promises."""
+    """Options of a make whose moves are started by bytes at an instant. The step's budget guarantees these bounds."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    fire_early_us: Micro = Field(default=0, description="How much too early what starts a move may be written.")
-    fire_late_us: Micro = Field(
-        default=PUNCTUAL_US,
-        description=f"How much too late. Later it is written only if the job allows for more than all members promise, "
-        f"and said so. Without it {URGENT_US} on a live host, and {ORDINARY_US} on one that may not run real-time "
-        "processes.",
+    fire_early_us: Microseconds = Field(default=0, description="The largest advance of a start command.")
+    fire_late_us: Microseconds = Field(
+        default=VIRTUAL_DELAY_US,
+        description="The largest delay of a start command. A later command is sent only if the job allows more than "
+        f"all participants guarantee. Default: {REALTIME_DELAY_US} on a live host, and {ORDINARY_DELAY_US} on one that "
+        "may not run real-time processes.",
     )
 
-    def host_term(self) -> Term:
-        """What the host adds to where a start lies about T0."""
+    def host_term(self) -> BudgetTerm:
+        """Return the host's term of the interval of a start relative to T0."""
         early_ns, late_ns = self.fire_early_us * NS_PER_US, self.fire_late_us * NS_PER_US
-        return Term(name="host", earliest_ns=-early_ns, latest_ns=late_ns)
+        return BudgetTerm(name="host", earliest_ns=-early_ns, latest_ns=late_ns)
 
-    def latest_ns(self, at_ns: int, slack_ns: int) -> int:
-        """Until when what is due at `at_ns` may be written, if the step can bear `slack_ns` more than is promised."""
-        return at_ns + self.fire_late_us * NS_PER_US + slack_ns
+    def latest_write_ns(self, at_ns: int, start_tolerance_ns: int) -> int:
+        """Return the last instant at which a write due at `at_ns` may happen, if the step tolerates
+        `start_tolerance_ns` beyond the guarantee."""
+        return at_ns + self.fire_late_us * NS_PER_US + start_tolerance_ns
 
-    def beyond_ns(self, fired: Fired) -> int:
-        """How much later than promised it was written."""
+    def excess_delay_ns(self, fired: WriteResult) -> int:
+        """Return the delay of a write beyond the guarantee."""
         return max(0, fired.after_ns - self.fire_late_us * NS_PER_US)
 
 
-def as_punctual_as(firer: Firer, options: BaseModel) -> BaseModel:
-    """`options` with the lateness that the firer may have, unless the fleet file says it."""
+def apply_writer_delay(timed_writer: TimedWriter, options: BaseModel) -> BaseModel:
+    """Return `options` with the delay of this timed writer, unless the fleet file sets one."""
     if isinstance(options, FiringOptions) and "fire_late_us" not in options.model_fields_set:
-        return options.model_copy(update={"fire_late_us": firer.late_us})
+        return options.model_copy(update={"fire_late_us": timed_writer.max_delay_us})
     return options
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """Write `data` at host time `at_ns`, and not at all if that could only be after `latest_ns`."""
+class WriteOrder:
+    """Write `data` at host time `at_ns`; skip the write if it can only happen after `latest_ns`."""
 
     data: bytes
     at_ns: int
     latest_ns: int
 
 
-def fire(order: Order, now_ns: Callable[[], int], write: Callable[[bytes], object]) -> Fired:
-    """The last step: `at_ns` has come. Never fires late."""
+def write_at_instant(order: WriteOrder, now_ns: Callable[[], int], write: Callable[[bytes], object]) -> WriteResult:
+    """Perform the final step once `at_ns` has come. Never writes too late."""
     instant_ns = now_ns()
     late = instant_ns > order.latest_ns
     if not late:
         write(order.data)
-    return Fired(instant_ns, instant_ns - order.at_ns, late)
+    return WriteResult(instant_ns, instant_ns - order.at_ns, late)
 
 
-def missed(what: str, link: Link, fired: Fired) -> DriverFault:
-    """What to raise when `what` was not written to `link`, because its instant was past."""
-    return DriverFault(
+def missed_write_fault(what: str, link: Link, fired: WriteResult) -> ControllerFault:
+    """Return the fault to raise when `what` was not written to `link` because its instant had passed."""
+    return ControllerFault(
         "late",
-        f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms past when the "
-        "process that fires had the processor",
-        "let the host run real-time processes or give it less to do, or allow for more: `max_start_skew` of the job, "
-        "and where a line, a stream or the next unit of a bus hangs on it, option fire_late_us",
+        f"the instant to write {what} to {link.place} was missed: it was {fired.after_ns / 1e6:.1f} ms "
+        "past when the firing process was scheduled",
+        "let the host run real-time processes, reduce its load, or allow a larger delay: "
+        "`max_start_skew` of the job, and option fire_late_us where a trigger line, a stream or the next "
+        "controller of a bus depends on the write",
     )
 
 
-class _LoopOrder:
-    """An order that waits on the clock."""
+class _LoopWrite:
+    """A write that waits for its instant on the clock."""
 
-    def __init__(self, clock: Clock, link: Link, order: Order, wake_ns: int) -> None:
-        self._fired: asyncio.Future[Fired] = asyncio.get_running_loop().create_future()
+    def __init__(self, clock: Clock, link: Link, order: WriteOrder, wake_ns: int) -> None:
+        self._fired: asyncio.Future[WriteResult] = asyncio.get_running_loop().create_future()
         self._clock = clock
         self._link = link
         self._order = order
-        self._timer: Timer = clock.call_at_ns(order.at_ns + wake_ns, self._fire)
+        self._timer: Timer = clock.call_at_ns(order.at_ns + wake_ns, self._write_now)
 
-    def _fire(self) -> None:
+    def _write_now(self) -> None:
         if not self._fired.done():
             try:
-                self._fired.set_result(fire(self._order, self._clock.now_ns, self._link.write))
+                self._fired.set_result(write_at_instant(self._order, self._clock.now_ns, self._link.write))
             except Exception as error:
                 self._fired.set_exception(error)
 
-    def cancel(self) -> bool:
+    def cancel_write(self) -> bool:
         if self._fired.done():
             return False
         self._timer.cancel()
         self._fired.cancel()
         return True
 
-    async def done(self) -> Fired:
+    async def wait_until_written(self) -> WriteResult:
         return await asyncio.shield(self._fired)
 
 
-class LoopFirer:
-    """Fires from the event loop, which is exact in virtual time. `wake_ns` draws how late a process would wake."""
+class LoopTimedWriter:
+    """Write from the event loop, which is exact in virtual time. `wake_ns` draws the simulated wake-up delay of a
+    process."""
 
-    late_us = PUNCTUAL_US
+    max_delay_us = VIRTUAL_DELAY_US
 
     def __init__(self, clock: Clock, wake_ns: Callable[[], int] = lambda: 0) -> None:
         self._clock = clock
         self._wake_ns = wake_ns
 
-    def schedule(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _LoopOrder:
-        return _LoopOrder(self._clock, link, Order(data, at_ns, latest_ns), self._wake_ns())
+    def schedule_write(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _LoopWrite:
+        return _LoopWrite(self._clock, link, WriteOrder(data, at_ns, latest_ns), self._wake_ns())

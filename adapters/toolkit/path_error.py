@@ -1,27 +1,28 @@
-"""How far what a controller executes is from its plan on the way, for makes that execute ramps and cruises."""
+"""Path error of an executed move relative to its plan, for makes that execute ramps and cruises."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 
 from orchestrator.model.profile import Profile
 
-_Piece = tuple[float, float, float, float]
-"""From an instant on: position, velocity, acceleration; in s and counts, in the sense of the profile."""
+_Segment = tuple[float, float, float, float]
+"""One motion segment, from an instant on: position, velocity, acceleration; in s and counts, in the direction of the
+profile."""
 
 
 def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float]]) -> float:
-    """The largest distance between what is executed and the plan, from a common start.
+    """Return the largest distance between the executed motion and the plan, from a common start.
 
-    legs: (duration, speed at its begin, acceleration), one behind the other, in host seconds and counts along the way;
-    all of them together go as far as the profile. Both are parabolas between their knots, so that the extremes of their
-    difference are at knots or at its vertices. One count more, because a controller goes in whole ones.
+    legs: (duration, initial speed, acceleration), consecutive, in host seconds and counts along the path; together they
+    cover the distance of the profile. Both motions are parabolas between their knots, so that the extremes of their
+    difference are at knots or at its vertices. One count is added, because a controller moves in whole counts.
     """
     distance = profile.end_counts - profile.start_counts
     sign = 1 if distance > 0 else -1
-    executed: list[_Piece] = []
+    executed: list[_Segment] = []
     clock_s = position = 0.0
     for duration_s, speed, acceleration in legs:
-        if duration_s <= 0.0:  # it would hide what begins at the same instant
+        if duration_s <= 0.0:  # it would hide the segment that begins at the same instant
             continue
         executed.append((clock_s, sign * position, sign * speed, sign * acceleration))
         clock_s += duration_s
@@ -36,10 +37,10 @@ def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float
     worst = 0.0
     for begin_s, end_s in pairwise(sorted({each[0] for each in (*executed, *planned)})):
         middle_s = (begin_s + end_s) / 2
-        mine, plan = _at(executed, middle_s), _at(planned, middle_s)
+        mine, plan = _segment_at(executed, middle_s), _segment_at(planned, middle_s)
         a = mine[3] - plan[3]
         v = mine[2] + (begin_s - mine[0]) * mine[3] - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = _position(mine, begin_s) - _position(plan, begin_s)
+        x = _position_at(mine, begin_s) - _position_at(plan, begin_s)
         instants = [0.0, end_s - begin_s]
         if a and 0.0 < -v / a < end_s - begin_s:
             instants.append(-v / a)
@@ -47,17 +48,19 @@ def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float
     return worst + 1.0
 
 
-def in_host_time(legs: Iterable[tuple[float, float, float]], factor: float) -> Iterator[tuple[float, float, float]]:
-    """Legs in the host's time. factor: seconds of the unit's crystal in one of the host's."""
+def legs_in_host_time(
+    legs: Iterable[tuple[float, float, float]], factor: float
+) -> Iterator[tuple[float, float, float]]:
+    """Convert legs to the host's time. factor: seconds of the controller's crystal per host second."""
     for duration_s, speed, acceleration in legs:
         yield duration_s / factor, speed * factor, acceleration * factor**2
 
 
-def _at(pieces: Sequence[_Piece], time_s: float) -> _Piece:
-    """The piece that is under way."""
+def _segment_at(pieces: Sequence[_Segment], time_s: float) -> _Segment:
+    """Return the segment that is active at `time_s`."""
     return max((each for each in pieces if each[0] <= time_s), key=lambda each: each[0])
 
 
-def _position(piece: _Piece, time_s: float) -> float:
+def _position_at(piece: _Segment, time_s: float) -> float:
     t = time_s - piece[0]
     return piece[1] + t * (piece[2] + t * piece[3] / 2)

@@ -1,4 +1,4 @@
-"""Print live positions of every axis, with Zenoh alone: watch_positions.py [ENDPOINT [COUNT OF SAMPLES]]."""
+"""Print live positions of every axis, using only Zenoh: watch_positions.py [ENDPOINT [COUNT OF SAMPLES]]."""
 
 import json
 import sys

@@ -1,8 +1,8 @@
-"""Eight CiA 402 drives on one CAN bus at 1 Mbit/s: how far apart they begin, by the simulator's truth, and how long
-arming them takes against the frames that it needs, in virtual time.
+"""Eight CiA 402 drives on one CAN bus at 1 Mbit/s: the spread of their starts, by the simulator's ground truth, and
+the duration of arming compared with the frames that it needs, in virtual time.
 
-Two ways to begin: the controlword written to one after another by SDO as soon as the one before has answered, as a
-script does; and by the adapter, whose set-points wait in the drives for one SYNC.
+Two start methods: a script writes the controlword to one drive after another by SDO, each as soon as the previous
+one has replied; the adapter loads set-points that wait in the drives for one SYNC.
 """
 
 import asyncio
@@ -23,18 +23,20 @@ from orchestrator.bench.figures import Figure
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.can import CanLink
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.plan.step import AxisMove, plan_step
 
 COUNTS = 20_000
 ASKED_SKEW_MS, ASKED_ARM = 0.15, 1.2
-STARTS = 20  # of the same drives; from one to the next the ticks of their control loops drift apart
+STARTS = 20  # of the same drives; from one start to the next the ticks of their control loops drift apart
 IDLE_NS = 1000 * NS_PER_MS
 
 
 class _Round(NamedTuple):
-    """One start. off_ms: the furthest motion from T0. moving, load: the part of the time that the bus was busy while
-    all moved, and at rest."""
+    """One start.
+
+    off_ms: largest distance of a motion's start from T0.
+    moving, load: share of the time that the bus was busy while all moved, and at rest."""
 
     skew_ms: float
     off_ms: float
@@ -45,7 +47,7 @@ class _Round(NamedTuple):
 
 
 def bench_can(rounds: int, seed: int = 11) -> list[Figure]:
-    """`rounds` starts each way, with new drives and a new bus every `STARTS` of them."""
+    """Measure `rounds` starts with each method, with new drives and a new bus every `STARTS` of them."""
     by_script: list[float] = []
     found: list[_Round] = []
     for number in range(ceil(rounds / STARTS)):
@@ -58,15 +60,17 @@ def bench_can(rounds: int, seed: int = 11) -> list[Figure]:
         can_row("distance of the furthest start from T0", [each.off_ms for each in found], "ms"),
         can_row("arming all", [each.arm_ms for each in found], "ms"),
         can_row("frames of arming on the bus", [each.frames_ms for each in found], "ms"),
-        can_row("arming against its frames", [each.arm_ms / each.frames_ms for each in found], "times", ASKED_ARM),
+        can_row(
+            "arming compared with its frames", [each.arm_ms / each.frames_ms for each in found], "times", ASKED_ARM
+        ),
         can_row("bus load by states, all moving", [100 * each.moving for each in found], "%"),
         can_row("bus load by states, at rest", [100 * each.load for each in found], "%"),
     ]
 
 
 async def _together(clock: VirtualClock, seed: int, starts: int) -> list[_Round]:
-    """Steps of all eight by their drivers, as a coordinator has them made, to and fro. One more is made before, because
-    it brings the drives into their mode."""
+    """Run steps of all eight through their drivers, like a coordinator, to and fro. One more is run first, because
+    it switches the drives into their mode."""
     world = can_world(clock, seed)
     await world.ready()
     busy_ns = world.segment.bus.busy_ns
@@ -80,29 +84,29 @@ async def _together(clock: VirtualClock, seed: int, starts: int) -> list[_Round]
 async def _step(world: CanWorld, begin: int, end: int) -> _Round:
     profiles = dict(plan_step([AxisMove("a", begin, end, VELOCITY / 2, ACCELERATION / 2)]).profiles)
     clock, drivers = world.clock, world.drivers
-    lowered = [driver.lower(profiles, StartWay(), None) for driver in drivers]
+    lowered = [driver.lower_profiles(profiles, StartOptions(), None) for driver in drivers]
     lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered)
     t0_ns = clock.now_ns() + lead_ns + 100 * NS_PER_MS + world.draw.randrange(10 * NS_PER_MS)
     began_ns, ordered_ns = clock.now_ns(), world.ordered_ns
     pairs = list(zip(drivers, lowered, strict=True))
-    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
     arm_ms, frames_ms = (clock.now_ns() - began_ns) * 1e-6, (world.ordered_ns - ordered_ns) * 1e-6
-    await asyncio.gather(*(driver.verify() for driver in drivers))
+    await asyncio.gather(*(driver.verify_armed() for driver in drivers))
     await asyncio.gather(*(driver.go() for driver in drivers))
-    spans = await asyncio.gather(*(driver.started() for driver in drivers))
+    spans = await asyncio.gather(*(driver.wait_for_start() for driver in drivers))
     busy_ns, moving_ns = world.segment.bus.busy_ns, clock.now_ns()
-    outcomes = await asyncio.gather(*(driver.outcome() for driver in drivers))
+    outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in drivers))
     moving = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - moving_ns)
     starts = world.starts()
     for span, began, outcome in zip(spans, starts, outcomes, strict=True):
         if outcome.state != "done" or not span["a"].earliest_ns <= began <= span["a"].latest_ns:
-            raise RuntimeError(f"a start of the benchmark is not as its driver says: {outcome.reason or span}")
+            raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
     off_ms = max(abs(each - t0_ns) for each in starts) * 1e-6
     return _Round((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, moving, 0.0)
 
 
 async def _scripted(clock: VirtualClock, seed: int, count: int) -> list[float]:
-    """The skews when each drive gets its controlword by SDO, as soon as the one before has answered."""
+    """Return the skews when each drive gets its controlword by SDO, as soon as the previous one has replied."""
     world = can_world(clock, seed)
     await world.ready()
     can = CanLink(await world.wire.open(), BITRATE)

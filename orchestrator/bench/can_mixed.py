@@ -1,5 +1,5 @@
-"""CiA 402 drives and SMC-4000 in one jerk-limited step: drives of one CAN bus start by its SYNC, the others by their
-clocks. By a whole coordinator in virtual time, judged by the simulators' truth.
+"""CiA 402 drives and SMC-4000 in one jerk-limited step: the drives of one CAN bus start by its SYNC, the others by
+their clocks. By a complete coordinator in virtual time, checked against the simulators' ground truth.
 """
 
 from math import ceil
@@ -26,7 +26,7 @@ _LIMITS = {"velocity": 200.0, "acceleration": 1000.0, "jerk": 20_000.0}
 
 
 def bench_mixed(rounds: int, seed: int = 11) -> list[Figure]:
-    """`rounds` steps, with new crystals every `STEPS_A_WORLD` of them."""
+    """Measure `rounds` steps, with new crystals every `STEPS_A_WORLD` of them."""
     skews_ms: list[float] = []
     missed = 0
     for number in range(ceil(rounds / STEPS_A_WORLD)):
@@ -40,7 +40,7 @@ def bench_mixed(rounds: int, seed: int = 11) -> list[Figure]:
 
 
 def mixed_fleet(seed: int) -> Fleet:
-    """`EACH` of both; the drives are on one bus."""
+    """Return a fleet with `EACH` of both; the drives share one bus."""
     draw = Random(seed)
 
     def crystal() -> dict[str, float]:
@@ -62,12 +62,12 @@ def mixed_fleet(seed: int) -> Fleet:
 
 def _drive(number: int) -> dict[str, Any]:
     axis = {"motors": ["1"], "unit": "mm", "scale": 1000}
-    link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "unit": number + 1}
+    link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "address": number + 1}
     return {"adapter": "cia402", "link": link, "options": MEASURED, "axes": {"x": axis}}
 
 
 async def _world(clock: VirtualClock, seed: int, steps: int) -> list[tuple[float, bool]]:
-    """The true start skew of each step, ms, and whether its verdict holds it."""
+    """Return the true start skew of each step, ms, and whether its verdict contains it."""
     draw = Random(seed)
     fleet = VirtualFleet(mixed_fleet(seed), clock, seed, guardian=False)
     await fleet.start()
@@ -77,23 +77,23 @@ async def _world(clock: VirtualClock, seed: int, steps: int) -> list[tuple[float
     found: list[tuple[float, bool]] = []
     for number in range(steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
-        before = {name: len(unit.motions) for name, unit in fleet.controllers.items()}
+        before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         to = dict.fromkeys((f"{name}.x" for name in names), 0.0 if number % 2 else 60.0)
         report = await _run(fleet, [{"do": "move", "to": to, "speed": 0.5}])
-        starts = [unit.motions[before[name]].start_ns for name, unit in fleet.controllers.items()]
+        starts = [unit.commanded_motions[before[name]].start_ns for name, unit in fleet.controllers.items()]
         skew_ns, said = max(starts) - min(starts), report.start_skew
         found.append((skew_ns * 1e-6, said is not None and said.at_least_ns <= skew_ns <= said.at_most_ns))
     return found
 
 
 async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> StepReport:
-    """The last step, when all are done."""
+    """Return the last step when all are done."""
     job = {"schema": "tutti.job/1", "name": "mixed", "max_start_skew": "50 ms", "max_end_skew": "50 ms", "steps": steps}
     client = fleet.client("mixed")
     try:
-        report = await client.wait(await client.submit(Job.model_validate(job)))
+        report = await client.wait_for_job(await client.submit(Job.model_validate(job)))
     finally:
         await client.close()
     if report.state != "done":
-        raise RuntimeError(f"a step of the benchmark has not run: {report.reason}")
+        raise RuntimeError(f"a step of the benchmark did not run: {report.reason}")
     return report.steps[-1]

@@ -1,7 +1,8 @@
-"""Eight CiA 402 drives that follow positions on one CAN bus at 1 Mbit/s, jerk-limited, in virtual time: how well they
-keep together and to their plan by the simulator's truth, what the bus carries, and whether a position is ever late.
+"""Eight CiA 402 drives that follow streamed positions on one CAN bus at 1 Mbit/s, jerk-limited, in virtual time:
+their deviation from each other and from the plan by the simulator's ground truth, the bus load, and late
+positions.
 
-Beside it, the same plans by a script that sends positions and a SYNC when a timer of its event loop is due.
+For comparison, the same plans by a script that sends positions and a SYNC by a timer of its event loop.
 """
 
 import asyncio
@@ -23,17 +24,17 @@ from orchestrator.bench.figures import Figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.can import CanFrame, CanLink
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
 JERK = 4_000_000.0
 PERIOD_NS = 10 * NS_PER_MS
-SCRIPT_LATE_NS = 100 * NS_PER_US, 3 * NS_PER_MS  # how late a loop's timer wakes it, beside other work
-NEAR, FAR = 20_000, 40_000  # ways of the axes, counts
+SCRIPT_LATE_NS = 100 * NS_PER_US, 3 * NS_PER_MS  # largest delay of a loop's timer under other load
+NEAR, FAR = 20_000, 40_000  # distances of the axes, counts
 CRUISE = 20_000.0
-LONG = 400_000  # 20 s at that
-PEAK_SHARE = 0.1  # of the peak velocity, below which a distance is no time
+LONG = 400_000  # 20 s at that speed
+PEAK_SHARE = 0.1  # of the peak velocity; below it a distance is not converted to a time
 LOOK_NS = NS_PER_MS
 MOVES = 20  # of the same drives
 SLOW_LOOKS = {"event_ms": 10}
@@ -44,8 +45,11 @@ _REST = 4  # periods
 
 
 class _Round(NamedTuple):
-    """One move. skew_ms: the most that axes were apart in time on their plans. off_ms: the most that one was from its
-    own. load: the part of the time that the bus was busy."""
+    """One move.
+
+    skew_ms: largest distance in time between axes on their plans.
+    off_ms: largest distance of one axis from its own plan.
+    load: share of the time that the bus was busy."""
 
     skew_ms: float
     off_ms: float
@@ -53,7 +57,7 @@ class _Round(NamedTuple):
 
 
 def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[Figure]:
-    """`rounds` moves each way, with new drives every `MOVES` of them; and long moves for `hours`."""
+    """Measure `rounds` moves with each method, with new drives every `MOVES` of them; and long moves for `hours`."""
     by_script: list[_Round] = []
     found: list[_Round] = []
     for number in range(ceil(rounds / MOVES)):
@@ -83,7 +87,7 @@ async def _streamed(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
         watching = asyncio.get_running_loop().create_task(_watch(world, profiles, t0_ns))
         busy_ns = world.segment.bus.busy_ns
         if not await _ended(world):
-            raise RuntimeError("a move of the benchmark did not come to its end")
+            raise RuntimeError("a move of the benchmark did not complete")
         load = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - t0_ns)
         found.append(_Round(*await watching, load))
     await world.close()
@@ -91,7 +95,7 @@ async def _streamed(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
 
 
 async def _scripted(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
-    """The drives are enabled by their drivers; then a script has them."""
+    """Move the drives by a script, after their drivers have enabled them."""
     world = can_world(clock, seed, {"jerk": JERK})
     await world.ready()
     can = CanLink(await world.wire.open(), BITRATE)
@@ -101,11 +105,11 @@ async def _scripted(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
     found: list[_Round] = []
     for _ in range(moves):
         profiles = _plan(world)
-        ats = {node: profile.evaluator() for node, profile in profiles.items()}
+        ats = {node: profile.make_evaluator() for node, profile in profiles.items()}
         t0_ns, busy_ns = clock.now_ns(), world.segment.bus.busy_ns
         watching = asyncio.get_running_loop().create_task(_watch(world, profiles, t0_ns))
         periods = 1
-        # Until all have come to rest: drives that move have a fault without SYNC.
+        # Until all are at rest: moving drives report a fault without SYNC.
         while periods * PERIOD_NS <= profiles[1].duration_s * NS_PER_S + _REST * PERIOD_NS:
             for node, at in ats.items():
                 counts = profiles[node].start_counts + round(at(periods * PERIOD_NS / NS_PER_S).position)
@@ -121,7 +125,7 @@ async def _scripted(clock: VirtualClock, seed: int, moves: int) -> list[_Round]:
 
 
 async def _for_hours(clock: VirtualClock, seed: int, hours: float) -> tuple[int, int]:
-    """Periods of the stream, and moves that ended otherwise than at their end."""
+    """Return the number of stream periods, and of moves that did not end as planned."""
     world = can_world(clock, seed, {"jerk": JERK}, SLOW_LOOKS)
     await world.ready()
     until_ns = clock.now_ns() + round(hours * 3600 * NS_PER_S)
@@ -140,7 +144,7 @@ async def _for_hours(clock: VirtualClock, seed: int, hours: float) -> tuple[int,
 
 
 def _plan(world: CanWorld) -> dict[int, Profile]:
-    """One duration, and a way of its own for each axis, by node; away from 0, or back."""
+    """Plan one duration, and a distance for each axis, by node; away from 0, or back."""
     here = {node: round(unit.position("1")) for node, unit in zip(NODES, world.units, strict=True)}
     there = {node: 0 if here[node] else world.draw.randint(NEAR, FAR) for node in NODES}
     moves = [
@@ -150,31 +154,31 @@ def _plan(world: CanWorld) -> dict[int, Profile]:
 
 
 async def _released(world: CanWorld, profiles: Mapping[int, Profile]) -> int:
-    """Armed and released; T0."""
+    """Arm and release the moves; return T0."""
     lowered = {
-        node: driver.lower({"a": profiles[node]}, StartWay(), None)
+        node: driver.lower_profiles({"a": profiles[node]}, StartOptions(), None)
         for node, driver in zip(NODES, world.drivers, strict=True)
     }
     lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered.values())
     t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(world.drivers, lowered.values(), strict=True))
-    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
-    await asyncio.gather(*(driver.verify() for driver in world.drivers))
+    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.verify_armed() for driver in world.drivers))
     await asyncio.gather(*(driver.go() for driver in world.drivers))
     return t0_ns
 
 
 async def _ended(world: CanWorld) -> bool:
-    """Whether all have started, and come to their ends, as their drivers say."""
-    await asyncio.gather(*(driver.started() for driver in world.drivers))
-    outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers))
+    """Wait for the ends; return whether all drivers report a start and a completed move."""
+    await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
+    outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
     return all(each.state == "done" for each in outcomes)
 
 
 async def _watch(world: CanWorld, profiles: Mapping[int, Profile], t0_ns: int) -> tuple[float, float]:
-    """The most that axes were apart in time on their plans, and that one was from its own, ms: (position - plan) /
-    planned velocity, where that is at least a tenth of the axis's peak. Looked at each millisecond or so."""
-    at = {node: (each.evaluator(), each.peak_velocity, each.start_counts) for node, each in profiles.items()}
+    """Return the largest distance in time between axes on their plans, and of one axis from its own, ms: (position -
+    plan) / planned velocity, where that is at least a tenth of the axis's peak. Sampled about every millisecond."""
+    at = {node: (each.make_evaluator(), each.peak_velocity, each.start_counts) for node, each in profiles.items()}
     duration_s = max(profile.duration_s for profile in profiles.values())
     skew_s = off_s = since_s = 0.0
     while since_s < duration_s:

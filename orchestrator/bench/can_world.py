@@ -1,7 +1,7 @@
 """Eight simulated CiA 402 drives on one CAN bus at 1 Mbit/s, each with its driver, in virtual time.
 
-Each drive has a crystal, a phase of its control loop and times of its firmware of its own; each write at an instant is
-late by what a process is woken late.
+Each drive has its own crystal, phase of the control loop and firmware delays; each timed write is late by the
+wake-up delay of a process.
 """
 
 import asyncio
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from adapters.contract import Driver, Setup
+from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import Figure, figure
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.virtual import VirtualClock
@@ -22,22 +22,22 @@ from orchestrator.link.memory import MemoryWire, can_wire
 from orchestrator.model.fleet import Controller
 from sim.cia402 import CIA402
 from sim.cia402.unit import CanSegment
-from sim.core.controller import Branch, SimulatedController, Timing
+from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
 
 MAKE = "cia402"
 BITRATE = 1_000_000
 NODES = range(1, 9)
 CRYSTAL_PPM = 100.0
-WAKE_US = 60  # how late a process is woken that writes at an instant, at most
+WAKE_US = 60  # largest wake-up delay of a process that writes at an instant
 MEASURED = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
-"""What a person has measured of these drives."""
+"""Measured properties of these drives."""
 VELOCITY, ACCELERATION = 80_000.0, 400_000.0
-_STATE = (0x180, 0x280, 0x380, 0x480, 0x700, 0x080)  # what drives send unasked
+_STATE = (0x180, 0x280, 0x380, 0x480, 0x700, 0x080)  # sent by the drives without a request
 
 
 def can_row(what: str, values: list[float], unit: str, asked: float | None = None) -> Figure:
-    """asked: of the 99th percentile."""
+    """Make a row of figures; asked: target for the 99th percentile."""
     if asked is None:
         return figure(what, values, unit)
     return figure(what, values, unit, f"p99<={asked:g}", lambda found: found.p99 <= asked)
@@ -54,19 +54,19 @@ class CanWorld:
     wire: MemoryWire
     draw: Random
     ordered_ns: int = 0
-    """How long frames that were sent because of an order have been on the bus."""
+    """Total transmission time of frames that were sent because of a command."""
 
     def watch(self, frame: CanFrame, begin_ns: int, end_ns: int) -> None:
         if frame.id & ~0x7F not in _STATE:
             self.ordered_ns += end_ns - begin_ns
 
     def starts(self) -> list[int]:
-        return [unit.motions[-1].start_ns for unit in self.units]
+        return [unit.commanded_motions[-1].start_ns for unit in self.units]
 
     async def ready(self) -> None:
         await asyncio.gather(*(driver.connect() for driver in self.drivers))
         await asyncio.gather(*(driver.configure() for driver in self.drivers))
-        await asyncio.gather(*(driver.enable(["a"], True) for driver in self.drivers))
+        await asyncio.gather(*(driver.set_enabled(["a"], True) for driver in self.drivers))
 
     async def close(self) -> None:
         for driver in self.drivers:
@@ -76,23 +76,26 @@ class CanWorld:
 def can_world(
     clock: VirtualClock, seed: int, limits: Mapping[str, float] | None = None, simulate: Mapping[str, Any] | None = None
 ) -> CanWorld:
-    """limits: more of the axes', such as `jerk`. simulate: more options of the simulated drives."""
+    """Build the environment. limits: more limits of the axes, such as `jerk`. simulate: more options of the
+    simulated drives."""
     draw = Random(seed)
 
-    def branch(node: int) -> Branch:
+    def branch(node: int) -> DeviceSpec:
         crystal = Oscillator(draw.randrange(10**9), draw.uniform(-CRYSTAL_PPM, CRYSTAL_PPM))
         options = {"bitrate": BITRATE, **(simulate or {})}
-        return Branch(node, options, crystal, Timing(300 * NS_PER_US, 400 * NS_PER_US), draw.randrange(10**9))
+        return DeviceSpec(
+            node, options, crystal, FirmwareTiming(300 * NS_PER_US, 400 * NS_PER_US), draw.randrange(10**9)
+        )
 
     segment, units = CIA402.build_shared(clock, [branch(node) for node in NODES])
     wire = MemoryWire(clock, can_wire(), segment, "can", "bus", copy_context(), seed)
     make, shared = find_make(MAKE), dict[str, Any]()
-    firer = LoopFirer(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
+    firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
     drivers: list[Driver] = []
     for node in NODES:
         config = Controller.model_validate(_config(node, limits or {}))
-        options = make.options.model_validate(config.options)
-        drivers.append(make.driver(Setup(f"d{node}", config, options, clock, wire.open, firer, shared)))
+        options = make.options_model.model_validate(config.options)
+        drivers.append(make.create_driver(DriverSetup(f"d{node}", config, options, clock, wire.open, firer, shared)))
     world = CanWorld(clock, segment, list(units), drivers, wire, draw)
     segment.bus.watch(world.watch)
     return world
@@ -100,7 +103,7 @@ def can_world(
 
 def _config(node: int, limits: Mapping[str, float]) -> dict[str, Any]:
     most = {"velocity": VELOCITY, "acceleration": ACCELERATION, **limits}
-    link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": BITRATE, "unit": node}
+    link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": BITRATE, "address": node}
     axis = {"motors": ["1"], "unit": "counts", "limits": most}
     return {"adapter": MAKE, "link": link, "options": MEASURED, "axes": {"a": axis}}
 

@@ -1,34 +1,34 @@
-"""Chains of prebuffered moves of an SHRC-203 at 38,400 baud: how long a move takes, and whether a chain runs dry.
+"""Chains of prebuffered moves of an SHRC-203 at 38,400 baud: the duration of a move, and whether a chain runs dry.
 
-In virtual time, judged by the simulated unit's truth. The loader has from a completion line to the next one to write
-the move after next; every move brings speeds of its own, so that its line is as long as it can be.
+In virtual time, checked against the simulated controller's ground truth. Between two completion lines the loader
+must write the move after next; every move has its own speeds, so that its command line has the maximum length.
 """
 
 from contextvars import copy_context
 from random import Random
 from typing import NamedTuple
 
-from adapters.contract import Setup
+from adapters.contract import DriverSetup
 from adapters.shrc203.chain import ChainMove
 from adapters.shrc203.driver import ShrcDriver
-from adapters.shrc203.options import Options
-from adapters.shrc203.trapezoid import Trapezoid
-from adapters.toolkit.firing import LoopFirer
+from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.trapezoid import ShrcTrapezoid
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link, Received
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
-from sim.core.controller import Timing
+from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 MODEL = "shrc203"
 BAUD = 38400
-HOST_NS = NS_PER_MS  # from the arrival of a line to what is made of it
-FIRMWARE = Timing(decode_ns=1_000_000, spread_ns=1_000_000)
+HOST_NS = NS_PER_MS  # from the arrival of a line to its handling
+FIRMWARE = FirmwareTiming(decode_ns=1_000_000, spread_ns=1_000_000)
 PPM = 50.0
-# Axes, the moves' own duration (ms), and what is asked of a move with its hand-over.
+# Axes, the moves' own duration (ms), and the target for a move with its hand-over.
 CASES = ((("x",), 18, 20.0), (("x", "y", "z"), 33, 35.0))
 MOTORS = {"x": "1", "y": "2", "z": "3"}
 RAMPS_MS = range(2, 6)
@@ -37,8 +37,11 @@ TOP_SPEEDS = range(10_000, 30_000)
 
 
 class ChainFigures(NamedTuple):
-    """move_ms: from the first start to the last end, by move, of the slowest seed. ahead_ms: the least time from the
-    answer to a load to the next completion line, over all seeds. underruns: of all seeds."""
+    """The figures of one number of axes.
+
+    move_ms: time from the first start to the last end, per move, of the slowest seed.
+    ahead_ms: least time from the reply to a load to the next completion line, over all seeds.
+    underruns: of all seeds."""
 
     axes: int
     moves: int
@@ -60,7 +63,7 @@ class _Chain(NamedTuple):
 
 
 class ChainBroke(Exception):
-    """A chain has not run to its end, or not as it was told. Says which and why."""
+    """A chain did not run to its end, or not as commanded. The text names the chain and the reason."""
 
 
 def bench_chain(moves: int, seeds: int) -> list[ChainFigures]:
@@ -89,36 +92,36 @@ def _run(axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Cha
 async def _measured(clock: VirtualClock, axes: tuple[str, ...], duration_ms: int, moves: int, seed: int) -> _Chain:
     draw = Random(seed)
     oscillator = Oscillator(0, draw.uniform(-PPM, PPM), 0.05, draw.getrandbits(32))
-    unit = simulator(MODEL).build(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
-    wire = MemoryWire(clock, serial_wire(BAUD), unit, unit.ports[0], "serial line", copy_context(), seed)
+    unit = find_simulator(MODEL).build_controller(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
+    wire = MemoryWire(clock, serial_wire(BAUD), unit, unit.port_names[0], "serial line", copy_context(), seed)
 
     async def opened() -> Link:
         return _SlowHost(await wire.open(), clock)
 
-    setup = Setup("stage", _config(), Options(), clock, opened, LoopFirer(clock))
-    driver = ShrcDriver(setup, Options())
+    setup = DriverSetup("stage", _config(), ShrcOptions(), clock, opened, LoopTimedWriter(clock))
+    driver = ShrcDriver(setup, ShrcOptions())
     await driver.connect()
     await driver.configure()
     chains = {axis: [_move(draw, duration_ms) for _ in range(moves)] for axis in axes}
     report = await driver.run_chain(chains)
     await driver.close()
     for axis, chain in chains.items():
-        made = [each for each in unit.motions if each.axis == MOTORS[axis]]
+        made = [each for each in unit.commanded_motions if each.axis == MOTORS[axis]]
         ways = [None if each.end_counts is None else round(each.end_counts - each.start_counts) for each in made]
         if report.reason or ways != [each.distance for each in chain]:
             raise ChainBroke(f"seed {seed}, {len(axes)} axes, axis {axis}: {report.reason or 'other moves were made'}")
-    ends = [each.end_ns for each in unit.motions if each.end_ns is not None]
-    took_ns = max(ends) - min(each.start_ns for each in unit.motions)
+    ends = [each.end_ns for each in unit.commanded_motions if each.end_ns is not None]
+    took_ns = max(ends) - min(each.start_ns for each in unit.commanded_motions)
     return _Chain(took_ns / NS_PER_MS / moves, (report.least_ahead_ns or 0) / NS_PER_MS, len(report.underruns))
 
 
 def _move(draw: Random, duration_ms: int) -> ChainMove:
-    """A move that takes hardly less than that, with speeds of its own."""
+    """Draw a move that takes slightly less than `duration_ms`, with its own speeds."""
     s, f, r = draw.choice(START_SPEEDS), draw.choice(TOP_SPEEDS), draw.choice(RAMPS_MS)
     distance = round((s + f) * r / 1000 + f * (duration_ms - 2 * r) / 1000)
-    while Trapezoid(distance, s, f, r).duration_s * 1000 > duration_ms:
+    while ShrcTrapezoid(distance, s, f, r).duration_s * 1000 > duration_ms:
         distance -= 1
-    return ChainMove(draw.choice((1, -1)) * distance, Trapezoid(distance, s, f, r))
+    return ChainMove(draw.choice((1, -1)) * distance, ShrcTrapezoid(distance, s, f, r))
 
 
 def _config() -> Controller:
@@ -133,7 +136,7 @@ def _config() -> Controller:
 
 
 class _SlowHost:
-    """A link whose bytes are looked at `HOST_NS` after they have come."""
+    """A link whose received bytes are delivered `HOST_NS` late."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link

@@ -1,7 +1,8 @@
-"""How well clocks are predicted: simulated crystals read over modelled links, against two estimators without a bound.
+"""Accuracy of clock predictions: simulated crystals read over modelled links, compared with two estimators without a
+bound.
 
-A trial is one controller with a history of readings; then the host instant of one of its ticks, seconds ahead, is
-predicted. Truth is the crystal itself.
+A trial is one controller with a history of samples; then the host instant of one of its ticks, seconds ahead, is
+predicted. The ground truth is the crystal itself.
 """
 
 from dataclasses import dataclass, replace
@@ -23,9 +24,11 @@ BEGIN_NS = 100 * NS_PER_S
 
 @dataclass(frozen=True, slots=True)
 class LinkCase:
-    """A link and a counter. Each way takes latency_ns and up to jitter_ns more, with tail_chance up to tail_ns more
-    than that; replies are held back by up to hold_ns. The counter is read decode_ns and up to spread_ns after a request
-    has come; least_ns of that are known. asked_us: what its 95th percentile may be."""
+    """A link and a counter.
+
+    Each direction takes latency_ns and up to jitter_ns more, with tail_chance up to tail_ns on top; replies are
+    delayed by up to hold_ns. The counter is read decode_ns, plus up to spread_ns, after a request has arrived;
+    least_ns of that are known. asked_us: target for the 95th percentile."""
 
     name: str
     tick_ns: float
@@ -53,8 +56,12 @@ CASES = (
 
 
 class ClockFigures(NamedTuple):
-    """Errors of predictions, µs. bound_us: the guaranteed one, its median; misses: predictions outside it. cristian_us,
-    regression_us: 95th percentiles of the smallest round trip at the nominal rate, and of least squares."""
+    """Errors of predictions, µs.
+
+    bound_us: the guaranteed error, median.
+    misses: predictions outside the bound.
+    cristian_us, regression_us: 95th percentiles of the smallest round trip at the nominal rate, and of least
+    squares."""
 
     link: str
     trials: int
@@ -75,7 +82,7 @@ class _Reading(NamedTuple):
 
 
 def bench_clock(trials: int, seed: int = 1) -> list[ClockFigures]:
-    """Predict one tick per trial and link, AHEAD_NS after the last of HISTORY_S of readings."""
+    """Predict one tick per trial and link, AHEAD_NS after the last of HISTORY_S of samples."""
     return [_figures(case, trials, seed) for case in CASES]
 
 
@@ -89,8 +96,8 @@ def _figures(case: LinkCase, trials: int, seed: int) -> ClockFigures:
         readings = _history(case, crystal, draw)
         clock = SampleClock(case.tick_ns, case.decode_ns - case.least_ns)
         for each in readings:
-            clock.take_whole(each.sent_ns, each.received_ns, each.ticks)
-        mapping = clock.mapping()
+            clock.add_full_reading(each.sent_ns, each.received_ns, each.ticks)
+        mapping = clock.current_mapping()
         assert mapping is not None
         ahead_ns = readings[-1].received_ns + AHEAD_NS
         tick = int(crystal.device_ns(ahead_ns) // case.tick_ns)
@@ -132,14 +139,15 @@ def _way(case: LinkCase, draw: Random) -> int:
 
 
 def _cristian(readings: list[_Reading], case: LinkCase) -> TickMapping:
-    """The middle of the fastest of the last minute's round trips, at the nominal rate."""
+    """Estimate by the middle of the fastest of the last minute's round trips, at the nominal rate."""
     recent = readings[-60 * READINGS_HZ :]
     best = min(recent, key=lambda each: each.received_ns - each.sent_ns)
     return _line(best.ticks, (best.sent_ns + best.received_ns - case.tick_ns) / 2, case.tick_ns)
 
 
 def _regression(readings: list[_Reading], case: LinkCase) -> TickMapping:
-    """Least squares through the middles of the round trips that are at most twice as slow as the fastest."""
+    """Estimate by least squares through the middles of the round trips that are at most twice as slow as the
+    fastest."""
     least_ns = min(each.received_ns - each.sent_ns for each in readings)
     fast = [each for each in readings if each.received_ns - each.sent_ns <= 2 * least_ns]
     xs = [float(each.ticks) for each in fast]

@@ -1,7 +1,8 @@
-"""From the submission of a job to the first motion: 16 controllers of four axes on TCP, live and in virtual time.
+"""The time from the submission of a job to the first motion: 16 controllers of four axes on TCP, live and in virtual
+time.
 
-Each round submits one step over all 64 axes. The first rounds are not counted: the coordinator learns from them how
-quickly this fleet really arms. The parts come from the journal's transitions; the first motion from the simulators.
+Each round submits one step over all 64 axes. The first rounds are not counted: in them the coordinator learns the
+arming times of this fleet. The parts come from the journal's transitions; the first motion from the simulators.
 """
 
 import asyncio
@@ -10,8 +11,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from adapters.yaskawa.common.gate import Gate
-from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.bench.fleet import Steps, measured_fleet, run_steps
 from orchestrator.bench.spread import Noise, Spread, spread
 from orchestrator.bench.sync_fleets import smc4000
@@ -20,9 +21,9 @@ from orchestrator.client import Job
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.motion.lead_time import KEPT, KNOWN
+from orchestrator.coordinator.motion.lead_time import KEPT_STEPS, KNOWN_AFTER
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import JobReport, Transition
+from orchestrator.model.report import JobReport, JobTransition
 from orchestrator.runtime.live import LiveFleet
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -37,15 +38,19 @@ PARTS = {
     "arm": ("arming", "armed"),
     "release": ("armed", "running"),
 }
-"""By name, from which transition to which; accepted is what the client has waited for."""
+"""Parts by name, with the transitions at their begin and end; the client waits for "accepted"."""
 
 
 class DispatchFigures(NamedTuple):
-    """first_motion: of any axis, after the submission. lead: from when T0 was settled, all being armed and having
-    promised, to T0; armed_to_t0: from the beginning of the arming. virtual_ms, virtual_path_ms: the
-    same in virtual time, and what wire and firmware need of it: to the last answer to `go`, and from there the samples
-    before a start in which an SMC-4000 takes no release any more. simulators_cpu: their share of the processor time
-    that all processes used."""
+    """The figures of all rounds.
+
+    first_motion: of any axis, after the submission.
+    lead: from the instant that T0 was settled, after all members had armed and promised, to T0.
+    armed_to_t0: from the beginning of the arming to T0.
+    virtual_ms, virtual_path_ms: first motion in virtual time, and the time that links and firmware need of it: to
+    the last reply to `go`, and from there the samples before a start in which an SMC-4000 accepts no release any
+    more.
+    simulators_cpu: the simulators' share of the processor time of all processes."""
 
     controllers: int
     first_motion: Spread
@@ -60,7 +65,8 @@ class DispatchFigures(NamedTuple):
 
 
 class _Round(NamedTuple):
-    """ns: from the submission to the first motion; from the settling of T0, and from the arming, to T0; each part."""
+    """One round, ns: from the submission to the first motion; from the settling of T0, and from the arming, to T0;
+    each part."""
 
     first_ns: int
     lead_ns: int
@@ -69,7 +75,7 @@ class _Round(NamedTuple):
 
 
 def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
-    """`count` SMC-4000 of four axes."""
+    """Return a fleet of `count` SMC-4000 with four axes each."""
     controllers: dict[str, dict[str, Any]] = {}
     for k in range(count):
         plain = smc4000(k)
@@ -92,7 +98,7 @@ def dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
 
 
 async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
-    """`rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Run `rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     fleet = dispatch_fleet()
     virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _virtual(fleet, clock)))
     found: list[_Round] = []
@@ -100,20 +106,20 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
         await run_steps(tutti, _preparation(fleet))
         truths = [Truth(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
         used_s = _cpu_s(live)
-        for k in range(KEPT + 1 + rounds):
+        for k in range(KEPT_STEPS + 1 + rounds):
             asked_ns = raw_ns()
             job = await tutti.submit(_job(fleet, k % 2))
             accepted_ns = raw_ns() - asked_ns
-            report = await tutti.wait(job, poll_s=0.1)
+            report = await tutti.wait_for_job(job, poll_s=0.1)
             if report.state != "done":
                 raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
             first_ns = min(await asyncio.gather(*(truth.after("start", asked_ns) for truth in truths)))
-            parts = _parts((await tutti.show(job)).transitions, accepted_ns)
+            parts = _parts((await tutti.show_job(job)).transitions, accepted_ns)
             found.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
         sims_s, all_s = (after - before for before, after in zip(used_s, _cpu_s(live), strict=True))
-    counted = found[KEPT + 1 :]
-    options = Options()
-    release_ns = Gate.of(options).release * options.tick_ns
+    counted = found[KEPT_STEPS + 1 :]
+    options = YaskawaOptions()
+    release_ns = GateTiming.for_options(options).release_before * options.tick_ns
     return DispatchFigures(
         controllers=len(fleet.controllers),
         first_motion=spread([each.first_ns for each in counted], p99_ms=P99_MS),
@@ -129,21 +135,21 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
 
 
 async def _virtual(fleet: Fleet, clock: VirtualClock) -> _Round:
-    """The last of some rounds, by when the fleet is known; with the parts of all of them in the mean, because a gate
-    looks only every few samples whether it is open, and one round says little of that."""
+    """Return the last of some rounds, when the fleet's times are learned; with the mean of the parts of all rounds,
+    because a gate is checked only every few samples, and one round says little about that."""
     virtual = VirtualFleet(fleet, clock, 1, guardian=False)
     await virtual.start()
     tutti = virtual.client()
     await run_steps(tutti, _preparation(fleet))
     rounds: list[_Round] = []
-    for k in range(KNOWN + 1):
+    for k in range(KNOWN_AFTER + 1):
         await sleep_ns(clock, NS_PER_S)
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         asked_ns = clock.now_ns()
         job = await tutti.submit(_job(fleet, k % 2))
         accepted_ns = clock.now_ns() - asked_ns
         report = await job.result()
-        first_ns = min(each.motions[before[name]].start_ns for name, each in virtual.controllers.items())
+        first_ns = min(each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items())
         parts = _parts((await job.show()).transitions, accepted_ns)
         rounds.append(_Round(first_ns - asked_ns, *_leads_ns(report), parts))
     means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
@@ -160,14 +166,14 @@ def _job(fleet: Fleet, way: int) -> Job:
 
 
 def _leads_ns(report: JobReport) -> tuple[int, int]:
-    """T0 after it was settled, and after the beginning of the arming."""
+    """Return T0 relative to its settling, and to the beginning of the arming."""
     step = report.steps[0]
     assert step.t0_fleet_ns is not None and step.settled_fleet_ns is not None and step.arming_fleet_ns is not None
     return step.t0_fleet_ns - step.settled_fleet_ns, step.t0_fleet_ns - step.arming_fleet_ns
 
 
-def _parts(transitions: list[Transition], accepted_ns: int) -> dict[str, int]:
-    """How long each part took; of a step that was armed twice, the last time."""
+def _parts(transitions: list[JobTransition], accepted_ns: int) -> dict[str, int]:
+    """Return the duration of each part; of a step that was armed twice, the last one."""
     at = {each.state: datetime.fromisoformat(each.utc) for each in transitions}
     parts = {"accept": accepted_ns}
     for name, (first, last) in PARTS.items():
@@ -177,7 +183,7 @@ def _parts(transitions: list[Transition], accepted_ns: int) -> dict[str, int]:
 
 
 def _cpu_s(live: LiveFleet) -> tuple[float, float]:
-    """Processor time of the simulators, and of all processes of the fleet and this one."""
+    """Return the processor time of the simulators, and of all processes of the fleet and this one."""
     ticks = os.sysconf("SC_CLK_TCK")
 
     def used(pid: int) -> float:

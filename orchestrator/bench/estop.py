@@ -1,8 +1,9 @@
-"""From the e-stop's put to the last axis slowing down, live: 16 controllers on TCP, two on serial lines, and the shell.
+"""The time from an e-stop's publication to the deceleration of the last axis, live: 16 controllers on TCP, two on
+serial lines, and the shell command.
 
-Half of them move when it comes; in every other round the others are just being armed with contours, so that their
-links are busy with uploads. The serial ones take part now and then: a stepper that was stopped at once has to be homed.
-What happened is told by the simulators' own logs, on one kernel's clock.
+Half of the controllers move when it comes; in every other round the others are being armed with contours, so that
+their links are busy with uploads. The serial ones take part only in some rounds: a stepper that was stopped at once
+must be homed again. The times come from the simulators' own logs, on one kernel's clock.
 """
 
 import asyncio
@@ -20,24 +21,28 @@ from orchestrator.client import Job, SubmittedJob, Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import Urgency, calm, hurry
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import ENDED
+from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import LiveFleet
 
 CONTROLLERS = 16
 P99_MS, SHELL_MAX_MS = 20.0, 500.0
-MIDDLE, DISTANCE, SPEED = 50.0, 40.0, 0.02  # mm; a step of some ten seconds, of which hardly any is moved
+MIDDLE, DISTANCE, SPEED = 50.0, 40.0, 0.02  # mm; a step of some ten seconds, of which only a small part is executed
 MOVING_S = (0.1, 0.4)  # from the first motion to the e-stop
 SHELLS = 5
-SPOILT = 20  # rounds to be played again; with more, something else is wrong
+SPOILT = 20  # rounds to be repeated; more of them indicate another problem
 SERIAL = ("b", "c")
-SERIAL_EVERY = 9  # rounds; odd, so that every other one is beside uploads
+SERIAL_EVERY = 9  # rounds; odd, so that every other one is combined with uploads
 SEED = 17
 
 
 class EstopFigures(NamedTuple):
-    """last, first: put → the last and the first axis on TCP slows down. uploading: the last, in rounds in which others
-    were being armed. shell: `tutti estop` begins → the last axis of all. Then the axes on serial lines. spoilt: rounds
-    that were played again because their axes had not started."""
+    """The figures of all rounds.
+
+    last, first: publication → the last and the first axis on TCP decelerates.
+    uploading: the last, in rounds in which others were being armed.
+    shell: start of `tutti estop` → the last axis of all.
+    smc2000_19200, shrc203_38400: publication → the axes on serial lines.
+    spoilt: rounds that were repeated because their axes had not started."""
 
     controllers: int
     last: Spread
@@ -51,7 +56,8 @@ class EstopFigures(NamedTuple):
 
 
 def estop_fleet() -> Fleet:
-    """Half of the controllers plan trapezoids, the other half contours; one of each serial make beside them."""
+    """Return a fleet in which half of the controllers plan trapezoids, the other half contours; plus one of each
+    serial make."""
     controllers: dict[str, dict[str, Any]] = {}
     for k in range(CONTROLLERS):
         plain = smc4000(k)
@@ -68,14 +74,14 @@ def estop_fleet() -> Fleet:
 
 
 async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> EstopFigures:
-    """`rounds` e-stops. command: how the shell calls `tutti`. Raises `UpFailed`, `Refused`, `NothingHappened`."""
-    hurry(Urgency.BUS)  # for it stands for a client on a machine of its own
+    """Run `rounds` e-stops. command: the shell command of `tutti`. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
+    hurry(Urgency.BUS)  # because it represents a client on a machine of its own
     fleet, draw = estop_fleet(), Random(SEED)
     axes = fleet.axis_names
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
         rig = _Rig(live, tutti, draw)
         await run_steps(tutti, [{"do": "enable", "axes": ["all"]}, {"do": "home", "axes": ["all"]}])
-        # A few at a time: no machine of today plays contours on sixteen simulators as punctually as the hardware does.
+        # A few at a time: no current machine runs contours on sixteen simulators as punctually as the hardware.
         await run_steps(tutti, [{"do": "move", "to": dict.fromkeys(axes[k::4], MIDDLE / 4)} for k in range(4)])
         tcp: list[list[int]] = []
         uploading: list[int] = []
@@ -103,7 +109,7 @@ async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> Estop
 
 
 class _Rig:
-    """The fleet while it runs."""
+    """The running fleet."""
 
     def __init__(self, live: LiveFleet, tutti: Tutti, draw: Random) -> None:
         self._live = live
@@ -116,7 +122,8 @@ class _Rig:
         self.spoilt = 0
 
     async def round(self, arming: bool, serial: bool, command: Sequence[str] = ()) -> dict[str, int]:
-        """One e-stop; by moving controller, how long it took to slow down, ns. The fleet is ready again afterwards."""
+        """Run one e-stop; return the time to deceleration by moving controller, ns. The fleet is ready again
+        afterwards."""
         while True:
             if serial:
                 await self._to_the_middle()
@@ -126,7 +133,7 @@ class _Rig:
             try:
                 await self._move(movers, arming, jobs)
             except NothingHappened:
-                # Late somewhere, and so refused or stopped: what is measured here has not begun.
+                # A delay led to a refusal or a stop: the measured situation did not occur.
                 self.spoilt += 1
                 if self.spoilt > SPOILT:
                     raise
@@ -136,7 +143,7 @@ class _Rig:
                 return await self._stop(movers, jobs, command)
 
     async def _move(self, movers: Sequence[str], arming: bool, jobs: list[SubmittedJob]) -> None:
-        """Have `movers` move, and the others be armed or not; `jobs` gets what was submitted for that."""
+        """Move `movers`, and arm the others if requested; the submitted jobs are appended to `jobs`."""
         began_ns = raw_ns()
         jobs.append(await self._submit(movers, SPEED))
         await self._reach(jobs[0], "running")
@@ -162,7 +169,7 @@ class _Rig:
             await self._tutti.estop("benchmark", timeout_s=0.0)
         slowing = await asyncio.gather(*(self._truths[name].after("slowing", put_ns) for name in movers))
         if shell is not None:
-            # It looks whether all are latched.
+            # The command checks whether all controllers are latched.
             await asyncio.to_thread(shell.wait)
         await self._recover(jobs)
         return {name: ns - put_ns for name, ns in zip(movers, slowing, strict=True)}
@@ -176,11 +183,11 @@ class _Rig:
         async for event in job.events():
             if event.state == state:
                 return
-            if event.state in ENDED:
+            if event.state in FINISHED_STATES:
                 raise NothingHappened(f"the job to be stopped is {event.state}: {event.reason}")
 
     async def _recover(self, jobs: Sequence[SubmittedJob]) -> None:
-        """Have the latch released, and the motors on."""
+        """Reset the latch, and switch the motors on."""
         for job in jobs:
             await job.result()
 
@@ -199,7 +206,7 @@ class _Rig:
     async def _to_the_middle(self) -> None:
         middle = {f"{name}.x": MIDDLE / 4 for name in [*self._movers, *SERIAL]}
         states = await self._tutti.status()
-        # A stepper that was stopped at once does not know its place any more.
+        # A stepper that was stopped at once loses its reference.
         lost = [f"{name}.x" for name, each in states.items() if not each.axes["x"].referenced]
         home: Steps = [{"do": "home", "axes": [axis]} for axis in lost]
         back: dict[str, object] = {"do": "move", "to": middle, "sync": "none", "max_start_skew": "500 ms"}

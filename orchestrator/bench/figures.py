@@ -1,4 +1,4 @@
-"""Figures of the benchmarks of lowering: percentiles, what is asked of them, and which way was chosen how often."""
+"""Figures of the lowering benchmarks: percentiles, their targets, and how often each kind of lowering was chosen."""
 
 from collections.abc import Callable
 from math import ceil
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Figure(NamedTuple):
-    """A distance over `n` values, in `unit`. asked: what it should keep, in words; met: whether it does."""
+    """A distance over `n` values, in `unit`. asked: its target, in words; met: whether it is reached."""
 
     what: str
     n: int
@@ -26,7 +26,7 @@ class Chosen(NamedTuple):
 
 
 class LoweringFigures(NamedTuple):
-    """What was found for one make."""
+    """The results of one make."""
 
     make: str
     moves: int
@@ -37,7 +37,7 @@ class LoweringFigures(NamedTuple):
 def figure(
     what: str, values: list[float], unit: str, asked: str = "", keeps: Callable[[Figure], bool] | None = None
 ) -> Figure:
-    """Percentiles by nearest rank."""
+    """Compute percentiles by nearest rank."""
     ordered = sorted(values)
     p50, p99 = (ordered[ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
     found = Figure(what, len(ordered), round(p50, 4), round(p99, 4), round(ordered[-1], 4), unit, asked)

@@ -1,7 +1,8 @@
-"""How late the last byte of a start is written, live: by the firing process, and by an event loop beside it.
+"""The delay of a start command's last byte, live: written by the firing process, and by an event loop for
+comparison.
 
-The machine idle, and while an adapter host reads 16 simulated controllers on TCP and puts their states on the bus, ten
-times a second each, beside the simulators' own processes.
+On an idle machine, and while an adapter host polls 16 simulated controllers on TCP and publishes their states, ten
+times a second each, together with the simulators' own processes.
 """
 
 import socket
@@ -11,10 +12,10 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from adapters.contract import Firer
-from adapters.host.firing_process import ProcessFirer
+from adapters.contract import TimedWriter
+from adapters.host.firing_process import ProcessTimedWriter
 from adapters.link.tcp import open_tcp
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.fleet import measured_fleet
 from orchestrator.bench.spread import Spread, spread
 from orchestrator.bench.sync_fleets import smc4000
@@ -25,12 +26,12 @@ from orchestrator.model.fleet import Fleet, TcpLink
 CONTROLLERS = 16
 HZ = 10.0
 IDLE_MS, POLLING_MS = 0.05, 0.1
-AHEAD_S = (0.02, 0.06)  # from the order to its instant, as between `go` and T0
-LATE_NS = 1_000_000_000  # nothing is thrown away as too late: its lateness is the figure
+AHEAD_S = (0.02, 0.06)  # from the request to its instant, as between `go` and T0
+LATE_NS = 1_000_000_000  # no write is discarded as too late: its delay is the figure
 
 
 class FiringFigures(NamedTuple):
-    """Instant → the byte is written. loop_: by this process's event loop, as if there were no firing process."""
+    """Time from the scheduled instant to the write. loop_: by this process's event loop, without a firing process."""
 
     idle: Spread
     polling: Spread
@@ -39,11 +40,11 @@ class FiringFigures(NamedTuple):
 
 
 async def bench_firing(state: Path, shots: int) -> FiringFigures:
-    """Fire `shots` bytes each way. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Write `shots` bytes each way. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     async with _open_link() as link:
-        process = ProcessFirer()
+        process = ProcessTimedWriter()
         try:
-            loop = LoopFirer(LiveClock())
+            loop = LoopTimedWriter(LiveClock())
             await _late_ns(process, link, 1)  # it has started
             idle, loop_idle = await _late_ns(process, link, shots), await _late_ns(loop, link, shots)
             async with measured_fleet(_fleet(), state):
@@ -64,7 +65,7 @@ def _fleet() -> Fleet:
 
 @asynccontextmanager
 async def _open_link() -> AsyncGenerator[Link]:
-    """A connection to somebody on this machine who never reads; the operating system takes the bytes."""
+    """Open a connection to a local socket that is never read; the operating system buffers the bytes."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         link = await open_tcp(TcpLink(host="127.0.0.1", port=server.getsockname()[1]), LiveClock())
         try:
@@ -73,11 +74,11 @@ async def _open_link() -> AsyncGenerator[Link]:
             await link.close()
 
 
-async def _late_ns(firer: Firer, link: Link, shots: int) -> list[int]:
+async def _late_ns(firer: TimedWriter, link: Link, shots: int) -> list[int]:
     draw = Random(shots)
     late: list[int] = []
     for _ in range(shots):
         at_ns = raw_ns() + round(draw.uniform(*AHEAD_S) * 1e9)
-        fired = await firer.schedule(link, b"\r", at_ns, at_ns + LATE_NS).done()
+        fired = await firer.schedule_write(link, b"\r", at_ns, at_ns + LATE_NS).wait_until_written()
         late.append(fired.written_ns - at_ns)
     return late

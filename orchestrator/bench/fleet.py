@@ -1,4 +1,4 @@
-"""A live fleet for measurements: simulated controllers that write down what they do, everything else real."""
+"""A live fleet for measurements: simulated controllers that record their motions, everything else real."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,8 @@ Steps = list[dict[str, object]]
 
 @contextlib.asynccontextmanager
 async def measured_fleet(fleet: Fleet, state: Path, standby: bool = False) -> AsyncGenerator[tuple[LiveFleet, Tutti]]:
-    """`fleet` while the context lasts, its controllers adopted. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Run `fleet` while the context is open, with its controllers adopted. Raises `UpFailed`, `Refusal`,
+    `NothingHappened`."""
     live = LiveFleet(fleet, state, lambda _: None, port=free_port(), simulated=True, truth=True, standby=standby)
     await live.start()
     try:
@@ -33,7 +34,7 @@ async def measured_fleet(fleet: Fleet, state: Path, standby: bool = False) -> As
 
 
 async def until(condition: Callable[[], Awaitable[bool]], what: str) -> None:
-    """Wait for what another process does. Raises `NothingHappened`."""
+    """Wait for an action of another process. Raises `NothingHappened`."""
     try:
         async with asyncio.timeout(GIVE_UP_S):
             while not await condition():
@@ -43,12 +44,12 @@ async def until(condition: Callable[[], Awaitable[bool]], what: str) -> None:
 
 
 async def submit(tutti: Tutti, steps: Steps) -> str:
-    """The id of a job of `steps`. Raises `Refused`."""
+    """Submit a job of `steps` and return its id. Raises `Refusal`."""
     return await tutti.submit(Job.model_validate({"schema": "tutti.job/1", "name": "benchmark", "steps": steps}))
 
 
 async def run_steps(tutti: Tutti, steps: Steps) -> None:
-    """Run a job that must be done. Raises `Refused`, `NothingHappened`."""
-    report = await tutti.wait(await submit(tutti, steps), poll_s=0.1)
+    """Run a job that must complete. Raises `Refusal`, `NothingHappened`."""
+    report = await tutti.wait_for_job(await submit(tutti, steps), poll_s=0.1)
     if report.state != "done":
         raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")

@@ -1,7 +1,8 @@
-"""How soon an axis slows down when a key is let go, when the panel dies, and how soon it begins, on a live fleet.
+"""The reaction times of jogging on a live fleet: deceleration after a key release, or the death of the panel, and
+the first motion.
 
-Everything is real but the controllers: the panel is a process on a terminal, the bus is Zenoh, the controllers are
-simulated on TCP. What happened to the axis is told by the simulator's own log.
+Everything is real except the controllers: the panel is a process on a terminal, the bus is Zenoh, the controllers
+are simulated on TCP. The motion of the axis comes from the simulator's own log.
 """
 
 import asyncio
@@ -22,19 +23,23 @@ from orchestrator.runtime.terminal_process import TerminalProcess
 
 AXIS = "gantry.x"
 MIDDLE = 150.0  # mm: presses move a few mm to and fro around it
-SPEED = 10.0  # mm/s: what the panel begins with
+SPEED = 10.0  # mm/s: the panel's initial speed
 RELEASE_P99_MS = 60.0
 KILLED_MAX_MS = 300.0
-HELD_S = (0.15, 0.5)  # shorter than what a terminal may be silent for
+HELD_S = (0.15, 0.5)  # shorter than the permitted silence of a terminal
 REPEAT_S, REPEAT_DELAY_S = 1 / 30, 0.3
 SEED = 11
 
 
 class JogFigures(NamedTuple):
-    """release: key let go → slowing; killed: `kill -9` of the panel → slowing; first_motion: key pressed → moving.
+    """The figures of all presses.
 
-    plain_release: the same on a terminal that only repeats, at 30 Hz. api_stop: `Hand.stop` in this process → slowing,
-    what remains without panel and terminal. noise: how late this process was woken meanwhile.
+    release: key released → deceleration.
+    killed: `kill -9` of the panel → deceleration.
+    first_motion: key pressed → motion.
+    plain_release: `release` on a terminal that only repeats, at 30 Hz.
+    api_stop: `ManualControl.stop` in this process → deceleration, without panel and terminal.
+    noise: wake-up delay of this process during the run.
     """
 
     release: Spread
@@ -46,7 +51,7 @@ class JogFigures(NamedTuple):
 
 
 class _Rig:
-    """The fleet while it runs. `panel_code`: the panel's command line as a Python program."""
+    """The running fleet. `panel_code`: the panel's command line as a Python program."""
 
     def __init__(self, live: LiveFleet, tutti: Tutti, panel_code: str) -> None:
         self._live = live
@@ -57,7 +62,7 @@ class _Rig:
         self.truth = Truth(live.state / "truth" / "gantry.jsonl")
 
     async def panel(self, releases: bool) -> TerminalProcess:
-        """A new panel, ready, with nobody holding the axis."""
+        """Start a new panel and wait until it is ready, with the axis not leased."""
         await until(self._free, "the axis is free")
         arguments = ["axis", "jog", AXIS, "--connect", self._live.connect]
         panel = TerminalProcess(self._code, arguments, releases)
@@ -69,16 +74,16 @@ class _Rig:
         return panel
 
     def turn(self) -> str:
-        """The other arrow."""
+        """Return the other arrow."""
         self._arrow = "right" if self._arrow == "left" else "left"
         return self._arrow
 
     async def hold(self) -> None:
-        """Hold a key for a while."""
+        """Keep a key pressed for a while."""
         await asyncio.sleep(self._draw.uniform(*HELD_S))
 
     def within(self, duration_s: float) -> float:
-        """A part of `duration_s`, in s."""
+        """Draw a part of `duration_s`, in s."""
         return self._draw.uniform(0, duration_s)
 
     async def _free(self) -> bool:
@@ -86,7 +91,7 @@ class _Rig:
 
 
 async def bench_jog(fleet: Fleet, state: Path, panel_code: str, presses: int, kills: int) -> JogFigures:
-    """Run it all. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Run all measurements. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
         here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
         await run_steps(tutti, [*here, {"do": "move", "to": {AXIS: MIDDLE}}])
@@ -106,7 +111,7 @@ async def bench_jog(fleet: Fleet, state: Path, panel_code: str, presses: int, ki
 
 
 async def _presses(rig: _Rig, count: int) -> tuple[list[int], list[int]]:
-    """Press to moving, and let go to slowing, for `count` presses on one panel."""
+    """Measure press to motion, and release to deceleration, for `count` presses on one panel."""
     first_ns: list[int] = []
     release_ns: list[int] = []
     with contextlib.closing(await rig.panel(releases=True)) as panel:
@@ -133,7 +138,8 @@ async def _kill(rig: _Rig) -> int:
 
 
 async def _plain(rig: _Rig, count: int) -> list[int]:
-    """The same with autorepeat: the key is let go somewhere between two repeats, and nobody says so."""
+    """Measure the same with key repeats only: the key is released at some time between two repeats, without an
+    event."""
     durations_ns: list[int] = []
     with contextlib.closing(await rig.panel(releases=False)) as panel:
         for _ in range(count):
@@ -149,20 +155,20 @@ async def _plain(rig: _Rig, count: int) -> list[int]:
             let_go_ns = raw_ns()
             durations_ns.append(await rig.truth.after("slowing", let_go_ns) - let_go_ns)
             await rig.truth.after("end", let_go_ns)
-            # Otherwise the next press would be one more repeat.
+            # Otherwise the next press would count as one more repeat.
             await asyncio.sleep(1.0)
     return durations_ns
 
 
 async def _api(rig: _Rig, count: int) -> list[int]:
     durations_ns: list[int] = []
-    async with rig.tutti.by_hand([AXIS], what="benchmark") as hand:
+    async with rig.tutti.manual_control([AXIS], what="benchmark") as hand:
         for _ in range(count):
             velocity = SPEED if rig.turn() == "right" else -SPEED
             asked_ns = raw_ns()
             await hand.jog({AXIS: velocity})
             await rig.truth.after("start", asked_ns)
-            await hand.renew()
+            await hand.renew_jog()
             stopped_ns = raw_ns()
             await hand.stop()
             durations_ns.append(await rig.truth.after("slowing", stopped_ns) - stopped_ns)

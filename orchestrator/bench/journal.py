@@ -1,4 +1,4 @@
-"""How fast jobs are taken into the journal, and how soon a coordinator with a long history is back."""
+"""The rate of job submissions to the journal, and the restart time of a coordinator with a long history."""
 
 import time
 from pathlib import Path
@@ -8,14 +8,14 @@ from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.executor import inline
+from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.coordinator import Coordinator, Court
+from orchestrator.coordinator.coordinator import Coordinator, CoordinatorEnvironment
 from orchestrator.coordinator.journal.journal import Journal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
-from orchestrator.model.queue import Terms
-from orchestrator.model.report import JobReport, JobState, Transition
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import JobReport, JobState, JobTransition
 
 SUBMIT_ASKED_S = 3.0  # for a thousand
 RESTART_ASKED_S = 1.0  # with ten thousand
@@ -24,9 +24,13 @@ EPOCH_UTC = "2026-01-01T00:00:00.000000Z"
 
 
 class JournalFigures(NamedTuple):
-    """jobs, submit_s: submitted one by one, each on disk before the next, in so long. fsync_ms: what this disk needs
-    for one transaction alone, median. history, restart_s: from opening a journal with so many ended jobs to a
-    coordinator that reigns and answers, without the pause in which it listens for another one. file_mb: its size."""
+    """The figures of one disk.
+
+    jobs, submit_s: number of jobs, submitted one by one, each on disk before the next, and their total time.
+    fsync_ms: time of one transaction alone on this disk, median.
+    history, restart_s: number of finished jobs, and the time from opening their journal to a coordinator that leads
+    and answers, without the pause in which it listens for another one.
+    file_mb: size of the journal."""
 
     jobs: int
     submit_s: float
@@ -59,7 +63,7 @@ def bench_journal(fleet: Fleet, folder: Path, jobs: int, history: int) -> Journa
 
 
 def _job(fleet: Fleet) -> Job:
-    """A job as they are: some steps on all axes."""
+    """Return a typical job: some steps on all axes."""
     move: dict[str, object] = {"do": "move", "to": dict.fromkeys(fleet.axis_names, 1.0), "speed": 0.5}
     steps: list[dict[str, object]] = [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home"}, *[move] * 4]
     return Job.model_validate({"schema": "tutti.job/1", "name": "bench", "actor": "bench", "steps": steps})
@@ -81,16 +85,16 @@ def _coordinator(fleet: Fleet, clock: VirtualClock, journal: Journal) -> tuple[C
     numbers = iter(range(10**9))
 
     def new_id() -> str:
-        # The head of it becomes a job's id.
+        # Its head becomes a job's id.
         return f"{next(numbers):08x}{'0' * 24}"
 
     bus: MemoryBus = net.join("coordinator")
-    court = Court(
+    court = CoordinatorEnvironment(
         bus=bus,
         keys=Keys(fleet.fleet),
         clock=clock,
         journal=journal,
-        runs=inline,
+        execute=run_inline,
         new_id=new_id,
         sink=lambda _: None,
         save_fleet=lambda _: None,
@@ -104,10 +108,10 @@ async def _submit(fleet: Fleet, clock: VirtualClock, path: Path, job: Job, jobs:
     await coordinator.start()
     began_s = time.perf_counter()
     for number in range(jobs):
-        # Held: it is the queue that is measured, not what becomes of jobs for which no controller is there.
-        await client.submit(job, f"key-{number}", Terms(held=True))
+        # Held: the queue is measured, not the execution of jobs without controllers.
+        await client.submit(job, f"key-{number}", QueueTerms(held=True))
     took_s = time.perf_counter() - began_s
-    found = (await client.jobs(1)).total
+    found = (await client.list_jobs(1)).total
     if found != jobs:
         raise RuntimeError(f"{found} of {jobs} jobs are in the journal")
     await coordinator.close()
@@ -116,19 +120,19 @@ async def _submit(fleet: Fleet, clock: VirtualClock, path: Path, job: Job, jobs:
 
 
 def _fill(path: Path, job: Job, history: int) -> None:
-    """Ended jobs, written by the journal as a coordinator does it."""
+    """Write finished jobs to the journal, as a coordinator does."""
     journal = Journal(path)
     for number in range(history):
         job_id = f"h{number:07}"
-        journal.accept(job_id, job_id, job, EPOCH_UTC)
+        journal.accept_job(job_id, job_id, job, EPOCH_UTC)
         for state in _STATES:
-            journal.change(job_id, _transition(state, number))
-        journal.change(job_id, _transition("done", number), _report(job, job_id, number))
+            journal.record_transition(job_id, _transition(state, number))
+        journal.record_transition(job_id, _transition("done", number), _report(job, job_id, number))
     journal.close()
 
 
-def _transition(state: JobState, number: int) -> Transition:
-    return Transition(state=state, reason="", actor="bench", utc=EPOCH_UTC, fleet_ns=number)
+def _transition(state: JobState, number: int) -> JobTransition:
+    return JobTransition(state=state, reason="", actor="bench", utc=EPOCH_UTC, fleet_ns=number)
 
 
 def _report(job: Job, job_id: str, number: int) -> JobReport:
@@ -150,10 +154,10 @@ async def _restart(fleet: Fleet, clock: VirtualClock, path: Path, history: int) 
     journal = Journal(path)
     coordinator, client = _coordinator(fleet, clock, journal)
     await coordinator.start()
-    found = (await client.jobs(20)).total
+    found = (await client.list_jobs(20)).total
     took_s = time.perf_counter() - began_s
     if found != history or clock.now_ns() - began_ns > 5 * NS_PER_S:
-        raise RuntimeError(f"{found} of {history} jobs are there after {clock.now_ns() - began_ns} ns")
+        raise RuntimeError(f"{found} of {history} jobs are found after {clock.now_ns() - began_ns} ns")
     await coordinator.close()
     journal.close()
     return took_s

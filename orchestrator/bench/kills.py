@@ -1,8 +1,9 @@
-"""`kill -9` and SIGSTOP of every process of a live fleet at random moments: nothing is lost, doubled, or moves on.
+"""`kill -9` and SIGSTOP of every process of a live fleet at random moments: no job is lost or doubled, and no motion
+continues.
 
-The demo fleet with a coordinator that stands by, with real Zenoh and sockets. In each round a job moves both of its
-controllers to and fro while one process is killed, or stopped and woken later; the simulators' logs say what moved
-when. Afterwards the fleet must work again by itself: the next round begins with homing.
+The demo fleet with a standby coordinator, real Zenoh and real sockets. In each round a job moves both of its
+controllers to and fro while one process is killed, or stopped and resumed later; the motions come from the
+simulators' logs. Afterwards the fleet must recover by itself: the next round begins with homing.
 """
 
 import asyncio
@@ -17,17 +18,17 @@ from typing import NamedTuple
 from orchestrator.bench.fleet import measured_fleet
 from orchestrator.bench.spread import Noise, Spread, spread
 from orchestrator.bench.truth import NothingHappened, Truth
-from orchestrator.client import Job, Refused, Tutti
+from orchestrator.client import Job, Refusal, Tutti
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import ENDED
+from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live import STANDBY, LiveFleet
 
 SEED = 23
 TARGETS = ("router", "coordinator", "standby", "guardian", "host")
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 # Declared: adapters stop by themselves after 0.5 s without a coordinator, a guardian after 0.3 s without its host; the
-# ramps of the job take 0.3 s. What this machine adds by waking processes late is measured beside it.
+# ramps of the job take 0.3 s. The wake-up delay of processes on this machine is measured in parallel.
 DECLARED_S = 0.8
 MOMENT_S = (0.0, 2.5)
 ASLEEP_S = 2.5
@@ -37,8 +38,13 @@ MOVES = 3
 
 
 class KillFigures(NamedTuple):
-    """rest: fault → the last axis at rest, in rounds that it ended. back: fault → the fleet has done a job again. lost,
-    doubled: jobs. moved_on: rounds in which an axis moved for longer than declared. ends: of the jobs, by state."""
+    """The figures of all rounds.
+
+    rest: fault → the last axis at rest, in rounds whose job the fault ended.
+    back: fault → the fleet has completed a job again.
+    lost, doubled: number of jobs.
+    moved_on: rounds in which an axis moved for longer than declared.
+    ends: of the jobs, by state."""
 
     rounds: int
     rest: Spread
@@ -51,7 +57,7 @@ class KillFigures(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """One round. rest_ns: None when the job was done all the same."""
+    """One round. rest_ns: None when the job completed despite the fault."""
 
     state: str
     rest_ns: int | None
@@ -61,7 +67,7 @@ class _Seen(NamedTuple):
 
 
 async def bench_kills(fleet: Fleet, state: Path, rounds: int, told: Callable[[str], None]) -> KillFigures:
-    """`rounds` faults. Raises `UpFailed`, `NothingHappened`."""
+    """Run `rounds` faults. Raises `UpFailed`, `NothingHappened`."""
     async with measured_fleet(fleet, state, standby=True) as (live, tutti), Noise() as noise:
         rig = _Rig(live, tutti, Random(SEED))
         await rig.work_again()
@@ -86,7 +92,7 @@ async def bench_kills(fleet: Fleet, state: Path, rounds: int, told: Callable[[st
 
 
 class _Rig:
-    """The fleet while it runs."""
+    """The running fleet."""
 
     def __init__(self, live: LiveFleet, tutti: Tutti, draw: Random) -> None:
         self._live = live
@@ -98,7 +104,7 @@ class _Rig:
         )
 
     async def round(self, target: str, number: signal.Signals) -> _Seen:
-        """One job and one fault."""
+        """Run one job and one fault."""
         key = self._tutti.new_id()
         steps = [_move(60 if k % 2 == 0 else 5) for k in range(MOVES)]
         began_ns = raw_ns()
@@ -115,7 +121,7 @@ class _Rig:
         starts = max(truth.count("start", began_ns) for truth in self._truths.values())
         await self.work_again()
         back_ns = raw_ns() - broken_ns
-        # Submitted again with its key, it must be the same job, and run no more.
+        # Submitting it again with its key must return the same job, and must not run it again.
         same = await self._tutti.submit(_job("work", steps), client_key=key)
         rest_ns = max(ends, default=broken_ns) - broken_ns if state != "done" else None
         return _Seen(state, rest_ns, back_ns, lost=state == "lost", doubled=same != job or starts > 2 * MOVES)
@@ -127,25 +133,25 @@ class _Rig:
             async with asyncio.timeout(AGAIN_S):
                 while True:
                     try:
-                        report = await self._tutti.wait(await self._tutti.submit(self._prepare), poll_s=LOOK_S)
+                        report = await self._tutti.wait_for_job(await self._tutti.submit(self._prepare), poll_s=LOOK_S)
                         if report.state == "done":
                             return
                         why = report.reason
-                    except Refused as error:
-                        why = error.refusal.text
+                    except Refusal as error:
+                        why = error.text
                     await asyncio.sleep(LOOK_S)
-        raise NothingHappened(f"the fleet does not work again within {AGAIN_S:g} s: {why}")
+        raise NothingHappened(f"the fleet does not recover within {AGAIN_S:g} s: {why}")
 
     async def _end(self, job: str) -> str:
-        """The state that the job came to; `lost` when the journal does not know it."""
+        """Return the final state of the job; `lost` when it is not in the journal."""
         try:
             async with asyncio.timeout(AGAIN_S):
-                report = await self._tutti.wait(job, poll_s=LOOK_S)
-        except Refused:
+                report = await self._tutti.wait_for_job(job, poll_s=LOOK_S)
+        except Refusal:
             return "lost"
         except TimeoutError:
-            raise NothingHappened(f"job {job} has no end after {AGAIN_S:g} s") from None
-        return report.state if report.state in ENDED else "lost"
+            raise NothingHappened(f"job {job} has not ended after {AGAIN_S:g} s") from None
+        return report.state if report.state in FINISHED_STATES else "lost"
 
     def _pid(self, target: str) -> int:
         children = self._live.children
@@ -153,7 +159,7 @@ class _Rig:
         if target == "host":
             guardian = children[host].pid
             below = Path(f"/proc/{guardian}/task/{guardian}/children").read_text(encoding="utf-8").split()
-            # It may be between two hosts; then it is the guardian itself that is hit.
+            # A guardian may be between two hosts; then the guardian itself gets the signal.
             return int(below[0]) if below else guardian
         return children[{"guardian": host, "standby": STANDBY}.get(target, target)].pid
 

@@ -1,7 +1,8 @@
-"""How well a make's adapter turns plans into what its controller executes, by the simulator's truth, in virtual time.
+"""Accuracy of the compilation of plans to what a make's controller executes, by the simulator's ground truth, in
+virtual time.
 
-Plans go through the real driver: lowered, armed, let go, and watched, on a simulated controller with a crystal of its
-own. To add a make, add its `Subject`.
+Plans pass through the real driver: compiled, armed, released, and watched, on a simulated controller with a crystal
+of its own. To add a make, add its `Subject`.
 """
 
 import asyncio
@@ -13,9 +14,9 @@ from math import ceil
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import Driver, Lowered, Setup
+from adapters.contract import Driver, DriverSetup, Lowered
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.bench.lowering_ppsmc import bench_ppsmc
 from orchestrator.bench.lowering_steppers import STEPPERS, bench_stepper
@@ -24,36 +25,38 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Motion, SimulatedController, Timing
+from sim.core.controller import CommandedMotion, FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 SEED = 11
 CRYSTALS_PPM = (-100.0, -37.0, 0.0, 55.0, 100.0)
 CONTOUR_S = 5.0
 VELOCITY, ACCELERATION, JERK = 200_000.0, 1_000_000.0, 10_000_000.0  # counts/s, counts/s², counts/s³
 FAST = "20k-200k"
-CRUISES = {  # counts/s, slowest and fastest; and of how many moves one is made with it
+CRUISES = {  # counts/s, slowest and fastest; one of this many moves has such a cruise
     FAST: (20_000.0, 200_000.0, 1),
     "2k-20k": (2_000.0, 20_000.0, 10),
     "200-2k": (200.0, 2_000.0, 10),
     "20-200": (20.0, 200.0, 10),
 }
-SIMULATED = 25  # of so many lowered trapezoids one is executed
+SIMULATED = 25  # one of this many lowered trapezoids is executed
 LEAST_SIMULATED = 20
-CONTOURS = 1000  # for so many trapezoids there is one contour with each crystal
+CONTOURS = 1000  # trapezoids per contour, with each crystal
 ASKED_RECORD, ASKED_BETWEEN, ASKED_P99_MS = 1.0, 1.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What the benchmark must know of a make. config: a controller of four axes a, b, c, d with a scale of 1.
+    """The benchmark's parameters of a make.
 
-    sample_ns: of its own clock. record_samples: of a lowered contour; None: the make has none. way: of a lowered step,
-    in a word.
+    config: a controller of four axes a, b, c, d with a scale of 1.
+    sample_ns: by its own clock.
+    record_samples: of a lowered contour; None: the make has none.
+    way: kind of a lowered step, in a word.
     """
 
     config: Mapping[str, Any]
@@ -133,7 +136,7 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
     chosen: list[Chosen] = []
     for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
         found = _trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
-        # What is slower is shown beside it: how well that can be done depends on the make's steps of speed.
+        # Slower moves are shown for information: their accuracy depends on the make's speed resolution.
         bound, keeps = ("p99<0.2", _keeps_duration) if cruise == FAST else ("", None)
         figures += [
             figure(f"{cruise}, lowered-planned", found.lowered_ms, "ms", bound, keeps),
@@ -148,7 +151,7 @@ def _keeps_duration(found: Figure) -> bool:
     return found.p99 < ASKED_P99_MS
 
 
-# A controller on a wire
+# A controller on a link
 
 
 @dataclass(slots=True)
@@ -162,27 +165,27 @@ class _World:
     sample_ns: float
 
     async def ready(self) -> None:
-        """Connected, switched on, and its clock known as well as it will be."""
+        """Connect, switch the motors on, and wait until the clock estimate has converged."""
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.enable(list(self.config.axes), True)
+        await self.driver.set_enabled(list(self.config.axes), True)
         for _ in range(300):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
 
     def mapping(self) -> TickMapping:
-        mapping = self.driver.mapping()
+        mapping = self.driver.clock_mapping()
         if mapping is None:
-            raise RuntimeError("the controller has no clock that is known")
+            raise RuntimeError("the controller has no clock estimate")
         return mapping
 
     def motor(self, axis: str) -> str:
         return self.config.axes[axis].motors[0]
 
-    # What the simulator's own crystal says
+    # By the simulator's own crystal
 
     def sample(self, true_ns: int) -> int:
-        """The sample that begins at `true_ns`."""
+        """Return the sample that begins at `true_ns`."""
         elapsed_ns = self.crystal.device_ns(true_ns) - self.crystal.device_ns(self.built_ns)
         return round(elapsed_ns / self.sample_ns)
 
@@ -191,18 +194,20 @@ class _World:
 
 
 def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]) -> Any:
-    """Run `main` with a driver before a simulated controller."""
+    """Run `main` with a driver connected to a simulated controller."""
 
     async def run(clock: VirtualClock) -> Any:
         config = Controller.model_validate(subject.config)
         make = find_make(config.adapter)
         crystal = Oscillator(Random(seed).randrange(10**9), ppm)
-        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=50 * NS_PER_US)
+        timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=50 * NS_PER_US)
         built_ns = clock.now_ns()
-        controller = simulator(config.adapter).build(clock, {}, oscillator=crystal, timing=timing, seed=seed)
+        controller = find_simulator(config.adapter).build_controller(
+            clock, {}, oscillator=crystal, timing=timing, seed=seed
+        )
         wire = MemoryWire(clock, subject.wire, controller, subject.port, "bench", copy_context(), seed)
-        options = make.options.model_validate(config.options)
-        driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
+        options = make.options_model.model_validate(config.options)
+        driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
         world = _World(clock, controller, driver, config, crystal, built_ns, subject.sample_ns)
         await world.ready()
         return await main(world)
@@ -211,32 +216,32 @@ def _with(subject: Subject, ppm: float, seed: int, main: Callable[[_World], Any]
 
 
 async def _start(world: _World, profiles: Mapping[str, Profile]) -> tuple[Lowered, TickMapping, int]:
-    """Arm a step and let it go; with the mapping that it was frozen with, and T0."""
+    """Arm a step and release it; return the mapping that it was frozen with, and T0."""
     driver = world.driver
     await driver.poll()
     mapping = world.mapping()
-    lowered = driver.lower(profiles, StartWay(), mapping)
+    lowered = driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 150 * NS_PER_MS
-    await driver.arm(lowered, t0_ns, mapping)
-    await driver.verify()
+    await driver.arm_move(lowered, t0_ns, mapping)
+    await driver.verify_armed()
     await driver.go()
     return lowered, mapping, t0_ns
 
 
 async def _finish(world: _World) -> None:
     """Watch the step to its end, as an adapter does."""
-    await world.driver.started()
-    outcome = await world.driver.outcome()
+    await world.driver.wait_for_start()
+    outcome = await world.driver.wait_for_end()
     if outcome.state != "done":
-        raise RuntimeError(f"a move of the benchmark ended otherwise: {outcome.reason}")
+        raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")
 
 
 # Contours
 
 
 def _contours(subject: Subject, ppm: float, count: int, seed: int) -> list[tuple[list[float], list[float], float]]:
-    """For each of `count` moves: distances to the plan at the record instants and at the samples between, counts, and
-    a·h²/8."""
+    """Return, for each of `count` moves: distances to the plan at the record instants and at the samples between,
+    counts, and a·h²/8."""
 
     async def main(world: _World) -> list[tuple[list[float], list[float], float]]:
         draw = Random(seed)
@@ -252,7 +257,7 @@ def _contours(subject: Subject, ppm: float, count: int, seed: int) -> list[tuple
 
 
 def _jerk_limited(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
-    """A step of some `CONTOUR_S`, one axis at its limits."""
+    """Draw a step of about `CONTOUR_S`, with one axis at its limits."""
     longest = VELOCITY * (CONTOUR_S - VELOCITY / ACCELERATION - ACCELERATION / JERK)
     first = draw.choice(list(at))
     moves = [
@@ -274,20 +279,20 @@ async def _follow(
     world: _World, subject: Subject, profiles: Mapping[str, Profile]
 ) -> tuple[list[float], list[float], float]:
     lowered, mapping, t0_ns = await _start(world, profiles)
-    before = len(world.controller.motions)
+    before = len(world.controller.commanded_motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
     begun = world.sample(world.clock.now_ns())
     assert subject.record_samples is not None
     record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
     watching = asyncio.get_running_loop().create_task(_finish(world))
     seen: list[tuple[int, dict[str, float]]] = []
-    # From some samples before the start, which is not known yet, to some after the end.
+    # From some samples before the start, which is not determined yet, to some after the end.
     for sample in range(begun + 1, begun + samples + 40):
         await sleep_until_ns(world.clock, world.true_ns(sample))
         seen.append((sample, {axis: world.controller.position(world.motor(axis)) for axis in profiles}))
     await watching
-    start = world.sample(min(motion.start_ns for motion in world.controller.motions[before:]))
-    plans = {axis: (profile.start_counts, profile.evaluator()) for axis, profile in profiles.items()}
+    start = world.sample(min(motion.start_ns for motion in world.controller.commanded_motions[before:]))
+    plans = {axis: (profile.start_counts, profile.make_evaluator()) for axis, profile in profiles.items()}
     at_record: list[float] = []
     between: list[float] = []
     for sample, positions in seen:
@@ -303,7 +308,7 @@ async def _follow(
 
 
 class _Trapezoids(NamedTuple):
-    """Distances of durations: lowered and simulated from planned in ms, simulated from lowered in samples."""
+    """Differences of durations: lowered and simulated minus planned in ms, simulated minus lowered in samples."""
 
     lowered_ms: list[float]
     simulated_samples: list[float]
@@ -312,7 +317,7 @@ class _Trapezoids(NamedTuple):
 
 
 def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int) -> _Trapezoids:
-    """`count` moves of one axis with cruises from `low` to `high` counts/s."""
+    """Run `count` moves of one axis with cruises from `low` to `high` counts/s."""
 
     async def main(world: _World) -> _Trapezoids:
         draw = Random(seed)
@@ -321,7 +326,7 @@ def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int
         at = 0
         for number in range(count):
             profile = _trapezoid(at, low, high, draw)
-            lowered = world.driver.lower({"a": profile}, StartWay(), world.mapping())
+            lowered = world.driver.lower_profiles({"a": profile}, StartOptions(), world.mapping())
             way = subject.way(lowered)
             found.ways[way] = found.ways.get(way, 0) + 1
             found.lowered_ms.append(abs(lowered.durations_s["a"] - profile.duration_s) * 1e3)
@@ -340,14 +345,14 @@ def _trapezoids(subject: Subject, low: float, high: float, count: int, seed: int
     return _with(subject, Random(seed).uniform(-100.0, 100.0), seed, main)
 
 
-async def _execute(world: _World, profile: Profile) -> Motion:
+async def _execute(world: _World, profile: Profile) -> CommandedMotion:
     await _start(world, {"a": profile})
     await _finish(world)
-    return world.controller.motions[-1]
+    return world.controller.commanded_motions[-1]
 
 
 def _trapezoid(at: int, low: float, high: float, draw: Random) -> Profile:
-    """A cruise between `low` and `high`, ramps of 0.05 to 1 s, up to 8 s at speed; not back and forth by chance."""
+    """Draw a cruise between `low` and `high`, ramps of 0.05 to 1 s, up to 8 s at speed; alternating directions."""
     velocity = low * (high / low) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION)
     way = max(1, round(velocity * (velocity / acceleration + draw.uniform(0.0, 8.0))))

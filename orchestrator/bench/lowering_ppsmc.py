@@ -1,29 +1,30 @@
-"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, a part of them as executed, in virtual time.
+"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, and a part of them as executed, in virtual
+time.
 
-Its speeds are whole Hz and its ramps whole Hz/ms. From one slew speed V to the next the duration T changes by T/V; the
-ramps can make up for V/1000 s at the most, with 1 Hz/ms. So every duration can be had where V² is above 1000 T Hz²/s,
-and slower moves only in steps: then the next longer one is answered, and the step is planned again for it. Figures are
-given for all moves together, for these two kinds, and by mean rate.
+Its speeds are whole Hz and its ramps whole Hz/ms. From one slew speed V to the next the duration T changes by T/V;
+the ramps can compensate V/1000 s at most, with 1 Hz/ms. So every duration is possible where V² is above 1000 T
+Hz²/s, and slower moves only in steps: then the next longer duration is proposed, and the step is planned again for
+it. Figures are given for all moves together, for these two kinds, and by mean rate.
 """
 
 from contextvars import copy_context
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import Driver, Setup
+from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 MAKE = "ppsmc"
 SLOWEST, QUICKEST = 16.0, 100_000.0  # steps/s, of the cruise
@@ -32,7 +33,7 @@ DURATION_MOST_S = 120.0
 ACCELERATION = 1_000_000.0  # steps/s²
 CLASSES = ((16.0, 100.0), (100.0, 300.0), (300.0, 1000.0), (1000.0, QUICKEST))  # steps/s, of the mean rate
 VERNIER = 1000.0  # Hz²/s, see above
-SIMULATED = 25  # of so many lowered moves one is executed
+SIMULATED = 25  # one of this many lowered moves is executed
 LEAST_SIMULATED = 20
 ASKED_P99_MS, ASKED_MAX_MS = 1.0, 0.1
 CONFIG: dict[str, Any] = {
@@ -50,9 +51,9 @@ CONFIG: dict[str, Any] = {
 
 
 class _Found(NamedTuple):
-    """One move: its mean rate, steps/s, and duration, s; distances of durations in ms, executed only of a part.
+    """One move: its mean rate, steps/s, and duration, s; differences of durations in ms, executed only for a part.
 
-    again_ms: between the duration that was answered and the answer to a plan of that one.
+    again_ms: difference between the proposed duration and the result of planning for it.
     """
 
     rate: float
@@ -68,7 +69,7 @@ class _Found(NamedTuple):
 
 
 def bench_ppsmc(moves: int, seed: int) -> LoweringFigures:
-    """Lower `moves` and execute a part of them, with the rate of the unit's crystal known as if measured."""
+    """Lower `moves` and execute a part of them, with the rate of the controller's crystal known as if measured."""
     ppm = Random(seed).uniform(-100.0, 100.0)
     found: list[_Found] = run_virtual(lambda clock: _measure(clock, moves, ppm, seed))
     executed = [each for each in found if each.predicted_ms is not None]
@@ -78,7 +79,7 @@ def bench_ppsmc(moves: int, seed: int) -> LoweringFigures:
         figure("all, lowered-planned", [each.lowered_ms for each in found], "ms", "p99<=1", _keeps_p99),
         figure("V² >= 1000 T, lowered-planned", [each.lowered_ms for each in reached], "ms", "p99<=1", _keeps_p99),
         *([figure("V² < 1000 T, lowered-planned", [each.lowered_ms for each in slow], "ms")] if slow else []),
-        figure("all, answer planned again", [each.again_ms for each in found], "ms", "p99<=1", _keeps_p99),
+        figure("all, proposal planned again", [each.again_ms for each in found], "ms", "p99<=1", _keeps_p99),
         figure(
             "all, real-lowered",
             [each.predicted_ms for each in executed if each.predicted_ms is not None],
@@ -103,18 +104,18 @@ def _keeps_p99(found: Figure) -> bool:
 
 async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> list[_Found]:
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
-    timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
-    unit = simulator(MAKE).build(clock, {}, oscillator=crystal, timing=timing, seed=seed)
+    timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+    unit = find_simulator(MAKE).build_controller(clock, {}, oscillator=crystal, timing=timing, seed=seed)
     wire = MemoryWire(clock, LAN, unit, "tcp", "bench", copy_context(), seed)
     config = Controller.model_validate(
         {**CONFIG, "options": {"rate_ppm": ppm, "clock_ppm": 1, "decode_us": 750, "decode_spread_us": 250}}
     )
     make = find_make(MAKE)
-    options = make.options.model_validate(config.options)
-    driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
+    options = make.options_model.model_validate(config.options)
+    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
     await driver.connect()
     await driver.configure()
-    await driver.enable(["a"], True)
+    await driver.set_enabled(["a"], True)
     draw = Random(seed)
     executed = set(draw.sample(range(moves), min(moves, max(LEAST_SIMULATED, moves // SIMULATED))))
     at, found = 0, list[_Found]()
@@ -122,7 +123,7 @@ async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> li
         profile = _feasible(at, draw)
         if profile is None:
             continue
-        lowered_s = driver.lower({"a": profile}, StartWay(), None).durations_s["a"]
+        lowered_s = driver.lower_profiles({"a": profile}, StartOptions(), None).durations_s["a"]
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = None
         if len(found) in executed:
@@ -144,13 +145,13 @@ async def _measure(clock: VirtualClock, moves: int, ppm: float, seed: int) -> li
 
 
 def _again_ms(driver: Driver, profile: Profile, answered_s: float) -> float:
-    """What is left when all members have been planned for the duration that was answered, as a step does."""
-    longer = profile.stretched(max(1.0, answered_s / profile.duration_s))
-    return abs(driver.lower({"a": longer}, StartWay(), None).durations_s["a"] - longer.duration_s) * 1e3
+    """Return the remaining difference after all members have been planned for the proposed duration, as in a step."""
+    longer = profile.stretch_time(max(1.0, answered_s / profile.duration_s))
+    return abs(driver.lower_profiles({"a": longer}, StartOptions(), None).durations_s["a"] - longer.duration_s) * 1e3
 
 
 def _feasible(at: int, draw: Random) -> Profile | None:
-    """A move from `at` that is slower than the quickest by 1.02 to 3 times; None when this draw gives none."""
+    """Draw a move from `at` that is 1.02 to 3 times slower than the fastest; return None when this draw gives none."""
     velocity = SLOWEST * (QUICKEST / SLOWEST) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION)
     steps = round(STEPS_LEAST * (STEPS_MOST / STEPS_LEAST) ** draw.random())
@@ -164,15 +165,15 @@ def _feasible(at: int, draw: Random) -> Profile | None:
 
 
 async def _executed(clock: VirtualClock, driver: Driver, unit: SimulatedController, profile: Profile) -> float:
-    """The true duration of the motion, s."""
-    lowered = driver.lower({"a": profile}, StartWay(), None)
+    """Return the true duration of the motion, s."""
+    lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
     t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS
-    await driver.arm(lowered, t0_ns, None)
-    await driver.verify()
+    await driver.arm_move(lowered, t0_ns, None)
+    await driver.verify_armed()
     await driver.go()
-    await driver.started()
-    outcome = await driver.outcome()
-    motion = unit.motions[-1]
+    await driver.wait_for_start()
+    outcome = await driver.wait_for_end()
+    motion = unit.commanded_motions[-1]
     if outcome.state != "done" or motion.end_ns is None:
-        raise RuntimeError(f"a move of the benchmark ended otherwise: {outcome.reason}")
+        raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")
     return (motion.end_ns - motion.start_ns) * 1e-9

@@ -1,7 +1,7 @@
 """Random feasible moves of steppers and of one drive: as planned, as lowered, and a seeded part of them as executed.
 
-Rates are whole steps/s and ramps whole steps or milliseconds, so that what a unit can do differs with the mean rate of
-a move; the figures are given for all moves together and by mean rate.
+Rates are whole steps/s and ramps whole steps or milliseconds, so the accuracy depends on the mean rate of a move;
+the figures are given for all moves together and by mean rate.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,37 +11,41 @@ from itertools import pairwise
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import CannotDo, Driver, Setup
+from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
-from adapters.shrc203.fleetaxes import bounds
-from adapters.shrc203.trapezoid import fit
-from adapters.toolkit.firing import LoopFirer
+from adapters.shrc203.fleetaxes import axis_bounds
+from adapters.shrc203.trapezoid import fit_trapezoid
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.figures import Chosen, Figure, LoweringFigures, figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, can_wire, serial_wire
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 STEPS_LEAST, STEPS_MOST = 50, 300_000
 SLOWEST = 16.0  # steps/s, of the mean rate
 DURATION_MOST_S = 120.0
-CLASSES = (16.0, 33.0, 100.0, 1000.0)  # steps/s, of the mean rate, up to the quickest
-SIMULATED = 25  # of so many lowered moves one is executed
+CLASSES = (16.0, 33.0, 100.0, 1000.0)  # steps/s, of the mean rate, up to the fastest
+SIMULATED = 25  # one of this many lowered moves is executed
 LEAST_SIMULATED = 20
 ASKED_P99_MS, ASKED_MAX_MS = 0.2, 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Stepper:
-    """A make and its controller of one axis `a`. quickest, acceleration: in steps/s (²). begins: what a line of
-    `Lowered.commands` that is a motion begins with. port: of the simulated unit. alone: what the nearest move of one
-    command takes, in s, to compare with."""
+    """A make and its controller of one axis `a`.
+
+    quickest, acceleration: in steps/s (²).
+    begins: prefix of those lines of `Lowered.commands` that are motions.
+    port: of the simulated controller.
+    alone: duration of the nearest move with a single command, in s, for comparison."""
 
     make: str
     link: Mapping[str, Any]
@@ -57,7 +61,7 @@ class Stepper:
 
 def _one_trapezoid(config: Controller, profile: Profile) -> float:
     way = abs(profile.end_counts - profile.start_counts)
-    shape = fit(way, profile.duration_s, profile.durations_s[0], bounds(config.axes["a"]))
+    shape = fit_trapezoid(way, profile.duration_s, profile.durations_s[0], axis_bounds(config.axes["a"]))
     assert shape is not None
     return shape.duration_s
 
@@ -97,7 +101,7 @@ STEPPERS = {
         ),
         Stepper(
             "cia402",
-            {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": 1},
+            {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
             {},
             {},
             {"unit": "counts", "limits": {"velocity": 200_000, "acceleration": 1_000_000}},
@@ -111,8 +115,8 @@ STEPPERS = {
 
 
 class _Found(NamedTuple):
-    """One move: its mean rate, steps/s; distances of durations in ms, executed only of a part, and by one command alone
-    where that is known; motor commands."""
+    """One move: its mean rate, steps/s; differences of durations in ms, executed only for a part, and by one command
+    alone where that is known; motor commands."""
 
     rate: float
     planned_s: float
@@ -144,8 +148,8 @@ def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
     if subject.alone is not None:
         alone = [each.alone_ms for each in found if each.alone_ms is not None]
         figures.append(figure("all, lowered-planned by one command", alone, "ms"))
-    chosen: list[Chosen] = [Chosen("refused", {"slower than the unit can": refused[0]})]
-    # Where a step of the cruise's speed changes the duration by more than the longest ramp can make good, it shows.
+    chosen: list[Chosen] = [Chosen("refused", {"slower than the controller supports": refused[0]})]
+    # Visible where one step of the cruise speed changes the duration by more than the longest ramp can compensate.
     within = [each.lowered_ms for each in found if each.planned_s < each.rate]
     if within:
         figures.append(figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _keeps_p99))
@@ -170,22 +174,24 @@ async def _measure(
         {
             "adapter": subject.make,
             "link": subject.link,
-            # Durations are compared in the unit's own time: nothing is to be learned of its crystal.
+            # Durations are compared in the controller's own time: nothing has to be learned of its crystal.
             "options": {**subject.options, "clock_ppm": 0},
             "axes": {"a": {"motors": ["1"], **subject.axis}},
         }
     )
     make = find_make(subject.make)
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
-    timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
-    unit = simulator(subject.make).build(clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed)
+    timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+    unit = find_simulator(subject.make).build_controller(
+        clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed
+    )
     model = serial_wire(subject.link["baud"]) if "baud" in subject.link else can_wire()
     wire = MemoryWire(clock, model, unit, subject.port, "bench", copy_context(), seed)
-    options = make.options.model_validate(config.options)
-    driver = make.driver(Setup("bench", config, options, clock, wire.open, LoopFirer(clock)))
+    options = make.options_model.model_validate(config.options)
+    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open, LoopTimedWriter(clock)))
     await driver.connect()
     await driver.configure()
-    await driver.enable(["a"], True)
+    await driver.set_enabled(["a"], True)
     draw = Random(seed)
     executed = set(draw.sample(range(moves), min(moves, max(LEAST_SIMULATED, moves // SIMULATED))))
     at, found = 0, list[_Found]()
@@ -194,9 +200,9 @@ async def _measure(
         if profile is None:
             continue
         try:
-            lowered = driver.lower({"a": profile}, StartWay(), None)
-        except CannotDo:
-            # Slower than the unit can: not feasible.
+            lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
+        except Refusal:
+            # Slower than the controller supports: not feasible.
             refused[0] += 1
             continue
         predicted_s = lowered.durations_s["a"]
@@ -227,7 +233,7 @@ async def _measure(
 
 
 def _feasible(subject: Stepper, at: int, draw: Random) -> Profile | None:
-    """A move from `at` that is slower than the quickest by 1.02 to 3 times; None when this draw gives none."""
+    """Draw a move from `at` that is 1.02 to 3 times slower than the fastest; return None when this draw gives none."""
     velocity = SLOWEST * (subject.quickest / SLOWEST) ** draw.random()
     acceleration = min(velocity / draw.uniform(0.05, 1.0), subject.acceleration)
     steps = round(STEPS_LEAST * (STEPS_MOST / STEPS_LEAST) ** draw.random())
@@ -241,17 +247,17 @@ def _feasible(subject: Stepper, at: int, draw: Random) -> Profile | None:
 
 
 async def _executed(clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile) -> tuple[int, int]:
-    """The true instants of the motion's start and end."""
-    before = len(unit.motions)
-    lowered = driver.lower({"a": profile}, StartWay(), None)
+    """Return the true instants of the motion's start and end."""
+    before = len(unit.commanded_motions)
+    lowered = driver.lower_profiles({"a": profile}, StartOptions(), None)
     t0_ns = clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 50 * NS_PER_MS
-    await driver.arm(lowered, t0_ns, None)
-    await driver.verify()
+    await driver.arm_move(lowered, t0_ns, None)
+    await driver.verify_armed()
     await driver.go()
-    await driver.started()
-    outcome = await driver.outcome()
-    end_ns = unit.motions[-1].end_ns
+    await driver.wait_for_start()
+    outcome = await driver.wait_for_end()
+    end_ns = unit.commanded_motions[-1].end_ns
     if outcome.state != "done" or end_ns is None:
-        raise RuntimeError(f"a move of the benchmark ended otherwise: {outcome.reason}")
+        raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")
     await sleep_ns(clock, 10 * NS_PER_MS)
-    return unit.motions[before].start_ns, end_ns
+    return unit.commanded_motions[before].start_ns, end_ns

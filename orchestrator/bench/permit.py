@@ -1,7 +1,8 @@
-"""How soon the last axis of a step slows down when a permit is lost, on a live fleet of eight controllers.
+"""The time from the loss of a permit to the deceleration of the last axis of a step, on a live fleet of eight
+controllers.
 
-An input of one controller changes; its adapter has to see that, the coordinator to hear of it, and all adapters to
-stop their controllers, which are simulated on TCP and tell in their logs when they did.
+An input of one controller changes; its adapter must detect that, the coordinator must receive it, and all adapters
+must stop their controllers, which are simulated on TCP and record their motions.
 """
 
 import asyncio
@@ -17,17 +18,19 @@ from orchestrator.model.fleet import Controller, Fleet, Permit, TcpLink
 
 CONTROLLERS = 8
 PERMIT = "door-closed"
-MIDDLE, DISTANCE = 150.0, 100.0  # mm: a step to and fro, 10 s long at its speed, of which hardly any is moved
+MIDDLE, DISTANCE = 150.0, 100.0  # mm: a step to and fro, 10 s long at its speed, of which only a small part is executed
 SPEED = 0.05
 BEYOND_POLL_MS = 50.0
-MOVING_S = (0.3, 1.0)  # from the first motion to the loss, so that losses fall anywhere in a poll period
+MOVING_S = (0.3, 1.0)  # from the first motion to the loss, so that losses fall at any phase of a poll interval
 SEED = 12
 
 
 class PermitFigures(NamedTuple):
-    """stopped: input changed → the last of all axes slows down. first: the same, the first of them.
+    """The figures of all rounds.
 
-    poll_ms: how often a moving controller is read, `state.moving_hz` of the fleet file.
+    stopped: input changed → the last of all axes decelerates.
+    first: the same, the first of them.
+    poll_ms: poll interval of a moving controller, `state.moving_hz` of the fleet file.
     """
 
     controllers: int
@@ -38,7 +41,8 @@ class PermitFigures(NamedTuple):
 
 
 def fleet_of(gantry: Controller, count: int) -> Fleet:
-    """`count` controllers like `gantry` with the first of its axes, and a permit on an input of the first one."""
+    """Return `count` controllers like `gantry` with the first of its axes, and a permit on an input of the first
+    one."""
     axis, input_ = next(iter(gantry.axes)), next(iter(gantry.inputs))
     controllers = {
         f"g{k}": gantry.model_copy(
@@ -51,7 +55,7 @@ def fleet_of(gantry: Controller, count: int) -> Fleet:
 
 
 async def bench_permit(gantry: Controller, state: Path, rounds: int) -> PermitFigures:
-    """Lose the permit `rounds` times in a slow step over all axes. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Lose the permit `rounds` times in a slow step over all axes. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     fleet, draw = fleet_of(gantry, CONTROLLERS), Random(SEED)
     number = next(iter(gantry.inputs.values())).number
     first_ns: list[int] = []
@@ -72,14 +76,14 @@ async def bench_permit(gantry: Controller, state: Path, rounds: int) -> PermitFi
             slowing_ns = await asyncio.gather(*(truth.after("slowing", lost_ns) for truth in truths))
             first_ns.append(min(slowing_ns) - lost_ns)
             last_ns.append(max(slowing_ns) - lost_ns)
-            await tutti.wait(job, poll_s=0.1)
+            await tutti.wait_for_job(job, poll_s=0.1)
             live.tell_simulator("g1", input=(number, True))
 
             async def closed() -> bool:
                 states = (await tutti.status()).values()
                 return all(each.mode == "idle" and not any(each.inputs.values()) for each in states)
 
-            await until(closed, "the permit is there again")
+            await until(closed, "the permit is restored")
         poll_ms = 1000 / gantry.state.moving_hz
         return PermitFigures(
             controllers=len(axes),

@@ -1,4 +1,4 @@
-"""How long planning takes, against the bare Ruckig call in the same run."""
+"""The duration of planning, compared with the bare Ruckig call in the same run."""
 
 import statistics
 import time
@@ -25,8 +25,8 @@ class PlanRow(NamedTuple):
 def bench_plan(order: int, rounds: int) -> list[PlanRow]:
     """Plan random jerk-limited (order 3) or trapezoid (order 2) steps of every size, `rounds` times each.
 
-    A plan is the whole of it: soft limits, Ruckig, checks of every result, exported profiles. The bare call is
-    `Ruckig.calculate` on the very question that the plan asked, prepared beforehand.
+    A plan includes everything: soft limits, Ruckig, checks of every result, exported profiles. The bare call is
+    `Ruckig.calculate` with the same input as the plan's, prepared beforehand.
     """
     draw = Random(SEED)
     rows: list[PlanRow] = []
@@ -36,7 +36,7 @@ def bench_plan(order: int, rounds: int) -> list[PlanRow]:
         plan_us: list[float] = []
         bare_us: list[float] = []
         for _ in range(rounds):
-            # In turn, so that whatever else the machine does falls on both.
+            # Alternating, so that other load on the machine affects both.
             plan_us.append(_timed(lambda moves=moves: plan_step(moves)))
             bare_us.append(_timed(lambda s=solver, q=question, t=trajectory: s.calculate(q, t)))
         plan, bare = statistics.median(plan_us), statistics.median(bare_us)

@@ -1,33 +1,37 @@
-"""How often SMC-2000 on a serial line can be polled, against what the characters on the wire allow, in virtual time."""
+"""The poll rate of SMC-2000 on a serial line, compared with the limit of the line's characters, in virtual time."""
 
 import asyncio
 from contextvars import copy_context
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import Driver, Setup
+from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
-from sim.core.controller import Branch, Timing, build_line
+from sim.core.controller import DeviceSpec, FirmwareTiming, build_line
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 MAKE = "smc2000"
 BAUD = 19200
 AXES = {"x": "X", "y": "Y"}
-FIRMWARE = Timing(decode_ns=500_000, spread_ns=50_000)
-SETTLE = 3  # polls before it is measured: the length of a reply is known from the last one
-# Units on the line, what a serial adapter keeps received bytes for (ms), and polls that are asked for at once of each.
+FIRMWARE = FirmwareTiming(decode_ns=500_000, spread_ns=50_000)
+SETTLE = 3  # polls before the measurement: the length of a reply is known from the previous one
+# Controllers on the line, delay of received bytes in a serial adapter (ms), and simultaneous polls of each.
 CASES = ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1))
 
 
 class PollRate(NamedTuple):
-    """polls_s: of all units together. characters: of a poll, both ways. wire_polls_s: what these allow, one after the
-    other. share: of that, per cent."""
+    """The poll rate of one case.
+
+    polls_s: of all controllers together.
+    characters: of a poll, both directions.
+    wire_polls_s: the limit of these characters, one after the other.
+    share: of that limit, per cent."""
 
     units: int
     hold_ms: int
@@ -39,7 +43,7 @@ class PollRate(NamedTuple):
 
 
 def bench_poll(seconds: float, seed: int = 1) -> list[PollRate]:
-    """Poll units of two axes for `seconds` of virtual time each."""
+    """Poll controllers of two axes for `seconds` of virtual time each."""
     return [run_virtual(lambda clock, case=case: _measured(clock, *case, seconds, seed)) for case in CASES]
 
 
@@ -81,7 +85,7 @@ def _line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[Mem
     draw, make = Random(seed), find_make(MAKE)
     addresses = [None] if count == 1 else list(range(count))
     branches = {
-        f"unit{number}": Branch(
+        f"unit{number}": DeviceSpec(
             address,
             {"axes": 2},
             Oscillator(draw.randrange(100 * NS_PER_S), draw.uniform(-50, 50), 0.05, draw.getrandbits(32)),
@@ -90,20 +94,22 @@ def _line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[Mem
         )
         for number, address in enumerate(addresses)
     }
-    line = build_line(simulator(MAKE), clock, branches)
+    line = build_line(find_simulator(MAKE), clock, branches)
     model = serial_wire(BAUD, hold_ns=hold_ms * NS_PER_MS)
-    wire = MemoryWire(clock, model, line.far, "serial", "serial line", copy_context(), seed)
+    wire = MemoryWire(clock, model, line.endpoint, "serial", "serial line", copy_context(), seed)
     shared: dict[str, Any] = {}
     drivers: list[Driver] = []
     for name, branch in branches.items():
         config = _config(branch.address)
-        options = make.options.model_validate({})
-        drivers.append(make.driver(Setup(name, config, options, clock, wire.open, LoopFirer(clock), shared)))
+        options = make.options_model.model_validate({})
+        drivers.append(
+            make.create_driver(DriverSetup(name, config, options, clock, wire.open, LoopTimedWriter(clock), shared))
+        )
     return wire, drivers
 
 
 def _config(address: int | None) -> Controller:
     limits = {"velocity": 100, "acceleration": 1000}
     axes = {name: {"motors": [motor], "unit": "mm", "scale": 1000, "limits": limits} for name, motor in AXES.items()}
-    link = {"kind": "serial", "device": "/dev/null", "baud": BAUD, "unit": address}
+    link = {"kind": "serial", "device": "/dev/null", "baud": BAUD, "address": address}
     return Controller.model_validate({"adapter": MAKE, "link": link, "axes": axes})

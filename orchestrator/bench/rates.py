@@ -1,9 +1,10 @@
-"""How well crystals that can not be read are known from moves, and how long units take to start: over modelled links.
+"""The accuracy of learned crystal rates and start latencies of controllers without a readable clock: over modelled
+links.
 
-A trial is one unit that makes a hundred moves. What its adapter would see of each start and end is drawn from a model
-of its link and firmware; the rate, and the time of the start, are compared with the crystal's and the firmware's own.
-Beside them stand the two ways that need no estimator: to take the crystal for what it says, and the mean of what was
-measured; of starts, what is declared, and the mean of the acknowledgements.
+A trial is one controller that makes a hundred moves. The adapter's observations of each start and end are drawn from
+a model of its link and firmware; the rate and the start latency are compared with the true values of crystal and
+firmware. For comparison, the two methods without an estimator: the nominal rate of the crystal, and the mean of the
+measurements; for starts, the declared latency, and the mean of the acknowledgements.
 """
 
 from collections.abc import Sequence
@@ -29,11 +30,16 @@ RAMP_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LinkCase:
-    """A unit on its link. char_ns: a character. Each way takes way_ns and up to jitter_ns more; answers are held back
-    by up to hold_ns. A command has its effect, and is answered, decode_ns and up to spread_ns after its end; quick_ns
-    of that are known. declared: of the time to the start. asked_behind: what shows a start, or where it is, is the
-    answer to a second question behind the first. line: it says when a move has ended. positions: it tells them in
-    motion, at `speed` counts/s. Characters: of a question, and of its answer."""
+    """A controller on its link.
+
+    char_ns: a character. Each direction takes way_ns and up to jitter_ns more; replies are delayed by up to hold_ns.
+    A command takes effect, and is answered, decode_ns, plus up to spread_ns, after its end; quick_ns of that are
+    known.
+    declared: the start latency.
+    asked_behind: a start, or a position, shows in the reply to a second query after the first.
+    line: it reports the end of a move.
+    positions: it reports them in motion, at `speed` counts/s.
+    ask_characters, answer_characters: of a query, and of its reply."""
 
     name: str
     char_ns: int
@@ -53,7 +59,7 @@ class LinkCase:
 
 
 def _declared(usual_us: int, spread_us: int) -> Latency:
-    jitter_us = 1000  # of the wire, in the options of all makes
+    jitter_us = 1000  # of the serial line, in the options of all makes
     return Latency(
         usual_us * NS_PER_US, (usual_us - spread_us) * NS_PER_US, (usual_us + spread_us + jitter_us) * NS_PER_US
     )
@@ -92,8 +98,11 @@ CASES = (
 
 
 class RateFigures(NamedTuple):
-    """Errors of the rate of the next minute after so many moves, ppm; nominal, mean: p95 of the two others. bound:
-    guaranteed, its median; misses: rates outside it."""
+    """Errors of the rate of the next minute after `moves` moves, ppm.
+
+    nominal, mean: p95 of the two other methods.
+    bound: guaranteed, its median.
+    misses: rates outside it."""
 
     link: str
     moves: int
@@ -108,8 +117,8 @@ class RateFigures(NamedTuple):
 
 
 class StartFigures(NamedTuple):
-    """How far the instant that starts are aimed at is from the middle of what the firmware and the wire take, µs, after
-    so many starts; and p95 of the two others. misses: starts outside the promise."""
+    """Distance of the instant that starts are aimed at from the middle of the firmware's and link's delays, µs,
+    after `moves` starts; and p95 of the two other methods. misses: starts outside the guarantee."""
 
     link: str
     moves: int
@@ -123,7 +132,7 @@ class StartFigures(NamedTuple):
 
 
 def bench_rates(trials: int, seed: int = 1) -> tuple[list[RateFigures], list[StartFigures]]:
-    """All links: what is known after each of MOVES."""
+    """Run all links: the estimates after each of MOVES."""
     rates: list[RateFigures] = []
     starts: list[StartFigures] = []
     for case in CASES:
@@ -136,7 +145,7 @@ def bench_rates(trials: int, seed: int = 1) -> tuple[list[RateFigures], list[Sta
 
 
 class _Known(NamedTuple):
-    """After some moves. rate, start: errors of the estimate, of what is assumed, and of the mean."""
+    """The estimates after some moves. rate, start: errors of the estimate, of the assumed value, and of the mean."""
 
     rate: tuple[float, float, float]
     bound_ppm: float
@@ -171,7 +180,7 @@ def _trial(case: LinkCase, draw: Random, number: int) -> list[_Known]:
 def _known(
     case: LinkCase, learned: UnreadClock, crystal: Oscillator, now_ns: int, means: tuple[float, float], outside: bool
 ) -> _Known:
-    """means: of the measured rates, and of the acknowledgements."""
+    """Compare estimates with the truth. means: of the measured rates, and of the acknowledgements."""
     ahead_ns = round(LONGEST_S * NS_PER_S)
     true_ppm = ((crystal.device_ns(now_ns + ahead_ns) - crystal.device_ns(now_ns)) / ahead_ns - 1) * 1e6
     middle_ns = case.decode_ns + case.spread_ns / 2 + case.way_ns + case.jitter_ns / 2
@@ -189,7 +198,8 @@ def _known(
 def _seen(
     case: LinkCase, draw: Random, crystal: Oscillator, arrived_ns: int, started_ns: int, duration_s: float
 ) -> tuple[TimedMove, int]:
-    """What the adapter sees of a move whose starting line was at the unit's end of the wire then; and when it has."""
+    """Simulate the adapter's observations of a move; return also the instant of the last one. arrived_ns: the start
+    command was at the controller's end of the line."""
     heard_ns = started_ns + _back_ns(case, draw) - case.quick_ns
     if case.asked_behind:
         heard_ns += _decoding_ns(case, draw)
@@ -197,7 +207,7 @@ def _seen(
     began_ns = crystal.device_ns(started_ns)
     end_ns = crystal.true_ns(began_ns + round(duration_s * NS_PER_S))
     asked_ns = heard_ns
-    # Now and then from the start, and one question behind the other from before the quickest crystal's end.
+    # Some queries from the start on, and consecutive ones from before the fastest crystal's end.
     near_ns = round(started_ns + duration_s * NS_PER_S * (1 - REACH_PPM * 1e-6)) - move.before_ns
     while True:
         arrives_ns = asked_ns + case.ask_characters * case.char_ns

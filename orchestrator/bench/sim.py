@@ -1,8 +1,7 @@
-"""How fast simulated SMC-4000 run in virtual time, all of them moving and read by their adapters, or idle.
+"""The speed of simulated SMC-4000 in virtual time, all moving and polled by their adapters, or idle.
 
-Everything of a fleet is there: simulators, wires, an adapter host, the bus, the coordinator. Moves are long, so that
-nothing but the steady state counts. Where the time goes is told by the profiler, in a window of its own, because it
-makes everything slower.
+The fleet is complete: simulators, links, an adapter host, the bus, the coordinator. Moves are long, so that only the
+steady state counts. The profile is taken in a separate window, because the profiler slows everything down.
 """
 
 import cProfile
@@ -30,17 +29,17 @@ PARTS = {
     "coordinator": ("/orchestrator/coordinator/",),
     "loop": ("/orchestrator/clock/", "/asyncio/"),
 }
-"""Where the sources of each part are; states are made for the bus, and read from it, by the model."""
+"""Folder of the sources of each part; states are made for the bus, and read from it, by the model."""
 OTHER = "other"
 
 
-WINDOWS = 5  # of which the fastest counts: other work on the machine only ever makes it slower
+WINDOWS = 5  # of which the fastest counts: other load on the machine only slows it down
 
 
 class Window(NamedTuple):
     """fleet_s: time that passed in the fleet. cpu_s: processor time of this machine for it.
 
-    speedup: how many times faster than real time. controller_s: seconds of one controller in a second of the processor.
+    speedup: factor relative to real time. controller_s: controller seconds per processor second.
     """
 
     fleet_s: float
@@ -50,9 +49,12 @@ class Window(NamedTuple):
 
 
 class SimFigures(NamedTuple):
-    """idle: nothing moves. moving: all axes do, told by another host. step: they do in a step of a job, which adapters
-    read twice as often, and beside which a program guards each controller; None when it was not asked for.
+    """The figures of one fleet.
 
+    idle: nothing moves.
+    moving: all axes move, commanded by another host.
+    step: they move in a step of a job, where adapters poll twice as often, and a program guards each controller;
+    None when it was not requested.
     shares: of the processor's time while they move, for each part of Tutti, in percent.
     """
 
@@ -66,7 +68,7 @@ class SimFigures(NamedTuple):
 
 
 def fleet_of(count: int) -> Fleet:
-    """`count` controllers of four axes, all on one adapter host."""
+    """Return `count` controllers of four axes, all on one adapter host."""
     axes = {
         motor.lower(): {
             "motors": [motor],
@@ -97,7 +99,7 @@ def fleet_of(count: int) -> Fleet:
 def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int = 1) -> SimFigures:
     """Measure `controllers` of them, for `seconds` of fleet time each. Raises `RuntimeError` when a job fails.
 
-    step: in a step of a job, too; homing all axes before takes much longer than the rest.
+    step: also in a step of a job; homing all axes first takes much longer than the rest.
     """
     fleet = fleet_of(controllers)
 
@@ -119,7 +121,7 @@ def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int
 
 
 def _tell(virtual: VirtualFleet, text: bytes) -> None:
-    """Another host tells all controllers something, on a handle of its own."""
+    """Send a command of another host to all controllers, on a separate connection."""
 
     def tell(controller: SimulatedController) -> None:
         line = controller.connect("tcp", lambda reply: None, lambda: None)
@@ -140,12 +142,12 @@ async def _stop(virtual: VirtualFleet) -> None:
 
 
 async def _step(virtual: VirtualFleet) -> None:
-    """Bring all axes into one long move of a job. Raises `RuntimeError` when a job does not do what it is for."""
+    """Bring all axes into one long move of a job. Raises `RuntimeError` when a job fails."""
     client, names = virtual.client(), list(virtual.fleet.controllers)
     prepare = Job.model_validate(
         {"schema": "tutti.job/1", "name": "prepare", "steps": [{"do": "enable", "axes": names}, {"do": "home"}]}
     )
-    report = await client.wait(await client.submit(prepare), poll_s=60.0)
+    report = await client.wait_for_job(await client.submit(prepare), poll_s=60.0)
     if report.state != "done":
         raise RuntimeError(f"the benchmark's job is {report.state}: {report.reason}")
     move = {"do": "move", "to": dict.fromkeys(virtual.fleet.axis_names, TRAVEL_MM), "speed": SPEED}
@@ -166,7 +168,7 @@ async def _timed(clock: VirtualClock, controllers: int, seconds: float) -> Windo
 
 
 async def _profiled(clock: VirtualClock, seconds: float) -> dict[str, float]:
-    """What share of the time is spent in the sources of each part; built-in functions count for their callers."""
+    """Return the share of time spent in the sources of each part; built-in functions count for their callers."""
     profile = cProfile.Profile(builtins=False)
     profile.enable()
     await sleep_ns(clock, round(seconds * NS_PER_S))

@@ -1,8 +1,9 @@
-"""Seven SMC30 on one bus at 9,600 baud: how far apart their motions begin, by the simulator's truth, in virtual time.
+"""Seven SMC30 on one bus at 9,600 baud: the spread of their starts, by the simulator's ground truth, in virtual
+time.
 
-Three ways: E to one after another as soon as the one before has answered; the drivers' starting lines in slots with the
-waiting in the programs; and a wired line that all wait for. Each unit has a crystal, times of its firmware and a phase
-of looking at its inputs of its own.
+Three methods: E to one after another, each as soon as the previous one has replied; the drivers' start commands in
+time slots, with the delay in the programs; and a trigger line that all wait for. Each controller has its own
+crystal, firmware delays and phase of polling its inputs.
 """
 
 import asyncio
@@ -12,36 +13,36 @@ from math import ceil
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import Driver, Setup
+from adapters.contract import Driver, DriverSetup
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineWait, StartWay
+from orchestrator.model.messages import StartOptions, TriggerWait
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Branch, SimulatedController, Timing, build_line
+from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 MAKE = "smc30"
 BAUD = 9600
 UNITS = range(1, 8)
-SPREAD = 0.1  # of the firmware's times about their usual ones
+SPREAD = 0.1  # of the firmware's delays around their typical values
 CRYSTAL_PPM = 100.0
 DECODE_US, LINE_MS, START_MS, FILTER_MS, POLL_MS = 1000, 1.0, 1.0, 0.16, 1.0
-WAKE_US = 60  # how late a process is woken that writes at an instant, at most
+WAKE_US = 60  # largest wake-up delay of a process that writes at an instant
 STEPS, VELOCITY, ACCELERATION = 400, 2000.0, 20_000.0
 ASKED_SLOTS_MS, ASKED_LINE_MS = 12.0, 1.3
-EDGE_NS = 20 * NS_PER_US  # how far about T0 the line's edge may be
+EDGE_NS = 20 * NS_PER_US  # largest distance of the trigger edge from T0
 LINE_INPUT = 1
 
 
 class BusRow(NamedTuple):
-    """One way to start seven units: from the first motion to the last, in ms, over `n` starts. off: the furthest motion
-    from T0, in ms; None where no T0 is asked for."""
+    """One method to start seven controllers: from the first motion to the last, in ms, over `n` starts. off: largest
+    distance of a motion's start from T0, in ms; None without a T0."""
 
     way: str
     n: int
@@ -63,12 +64,12 @@ class _Bus:
     at: int = 0
 
     def starts(self, before: int) -> list[int]:
-        """When the motion after the first `before` began, of every unit."""
-        return [unit.motions[before].start_ns for unit in self.units]
+        """Return the instant of the motion after the first `before`, of every controller."""
+        return [unit.commanded_motions[before].start_ns for unit in self.units]
 
 
 def bench_smc30_bus(rounds: int, seed: int = 11) -> list[BusRow]:
-    """`rounds` starts each way, with new units and a new line every time."""
+    """Measure `rounds` starts of each method, with new controllers and a new line every time."""
     one_by_one = [_run(seed + number, "E")[0] for number in range(rounds)]
     slots = [_run(seed + number, "slots") for number in range(rounds)]
     line = [_run(seed + number, "line") for number in range(rounds)]
@@ -90,7 +91,7 @@ def _row(way: str, found: "list[tuple[float, float]] | list[tuple[float, None]]"
 
 
 def _run(seed: int, way: str) -> tuple[float, float]:
-    """The skew of one start, and the furthest motion from T0, in ms."""
+    """Return the skew of one start, and the largest distance of a motion's start from T0, in ms."""
 
     async def main(clock: VirtualClock) -> tuple[float, float]:
         bus = _build(clock, seed)
@@ -108,7 +109,7 @@ def _build(clock: VirtualClock, seed: int) -> _Bus:
     def spread(value: float) -> float:
         return value * draw.uniform(1 - SPREAD, 1 + SPREAD)
 
-    def branch(address: int) -> Branch:
+    def branch(address: int) -> DeviceSpec:
         options = {
             "checksum": True,
             "line_ms": spread(LINE_MS),
@@ -118,23 +119,23 @@ def _build(clock: VirtualClock, seed: int) -> _Bus:
         }
         crystal = Oscillator(draw.randrange(10**9), draw.uniform(-CRYSTAL_PPM, CRYSTAL_PPM))
         least_us = DECODE_US * (1 - SPREAD)
-        timing = Timing(round(least_us * NS_PER_US), round(2 * SPREAD * DECODE_US * NS_PER_US))
-        return Branch(address, options, crystal, timing, draw.randrange(10**9))
+        timing = FirmwareTiming(round(least_us * NS_PER_US), round(2 * SPREAD * DECODE_US * NS_PER_US))
+        return DeviceSpec(address, options, crystal, timing, draw.randrange(10**9))
 
-    line = build_line(simulator(MAKE), clock, {f"u{address}": branch(address) for address in UNITS})
-    wire = MemoryWire(clock, serial_wire(BAUD), line.far, "serial", "bus", copy_context(), seed)
+    line = build_line(find_simulator(MAKE), clock, {f"u{address}": branch(address) for address in UNITS})
+    wire = MemoryWire(clock, serial_wire(BAUD), line.endpoint, "serial", "bus", copy_context(), seed)
     make, shared = find_make(MAKE), dict[str, Any]()
-    firer = LoopFirer(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
+    firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
     drivers: list[Driver] = []
     for address in UNITS:
         config = Controller.model_validate(_config(address))
-        options = make.options.model_validate(config.options)
-        drivers.append(make.driver(Setup(f"u{address}", config, options, clock, wire.open, firer, shared)))
-    return _Bus(clock, [line.units[f"u{address}"] for address in UNITS], drivers, wire, draw)
+        options = make.options_model.model_validate(config.options)
+        drivers.append(make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open, firer, shared)))
+    return _Bus(clock, [line.devices[f"u{address}"] for address in UNITS], drivers, wire, draw)
 
 
 def _config(address: int) -> dict[str, Any]:
-    link = {"kind": "serial", "device": "/dev/ttyS0", "baud": BAUD, "data_bits": 7, "parity": "odd", "unit": address}
+    link = {"kind": "serial", "device": "/dev/ttyS0", "baud": BAUD, "data_bits": 7, "parity": "odd", "address": address}
     axis = {
         "motors": ["1"],
         "unit": "counts",
@@ -145,35 +146,39 @@ def _config(address: int) -> dict[str, Any]:
 
 
 async def _together(bus: _Bus, *, line: bool) -> tuple[list[int], int]:
-    """One step of all seven by their drivers, armed one beside the other, as a coordinator does; starts and T0."""
+    """Run one step of all seven through their drivers, armed in parallel, like a coordinator; return starts and T0."""
     for driver in bus.drivers:
         await driver.connect()
         await driver.configure()
-        await driver.enable(["a"], True)
+        await driver.set_enabled(["a"], True)
     profiles = dict(plan_step([AxisMove("a", 0, STEPS, VELOCITY, ACCELERATION)]).profiles)
-    how = StartWay(wait=LineWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS)) if line else StartWay(by="host")
-    lowered = [driver.lower(profiles, how, None) for driver in bus.drivers]
+    how = (
+        StartOptions(wait=TriggerWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS))
+        if line
+        else StartOptions(start_class="host")
+    )
+    lowered = [driver.lower_profiles(profiles, how, None) for driver in bus.drivers]
     lead_ns = sum(each.costs.arm_ns for each in lowered) + max(each.costs.disarm_ns for each in lowered)
     t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(bus.drivers, lowered, strict=True))
-    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in pairs))
-    await asyncio.gather(*(driver.verify() for driver in bus.drivers))
+    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.verify_armed() for driver in bus.drivers))
     await asyncio.gather(*(driver.go() for driver in bus.drivers))
     if line:
         await sleep_until_ns(bus.clock, t0_ns + bus.draw.randint(-EDGE_NS, EDGE_NS))
         for unit in bus.units:
             unit.set_input(LINE_INPUT, True)
-    spans = await asyncio.gather(*(driver.started() for driver in bus.drivers))
+    spans = await asyncio.gather(*(driver.wait_for_start() for driver in bus.drivers))
     for (driver, _), span, unit in zip(pairs, spans, bus.units, strict=True):
-        outcome, began_ns = await driver.outcome(), unit.motions[0].start_ns
+        outcome, began_ns = await driver.wait_for_end(), unit.commanded_motions[0].start_ns
         if outcome.state != "done" or not span["a"].earliest_ns <= began_ns <= span["a"].latest_ns:
-            raise RuntimeError(f"a start of the benchmark is not as its driver says: {outcome.reason or span}")
+            raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
         await driver.close()
     return bus.starts(0), t0_ns
 
 
 async def _one_by_one(bus: _Bus) -> float:
-    """E to each, as soon as the one before has answered, by a program with the same move."""
+    """Send E to each, as soon as the previous one has replied, by a program with the same move."""
     link = await bus.wire.open()
     for address in UNITS:
         for text in ("PO", "S100", "T2000", "R99", f"G+{STEPS}", "PX"):
@@ -187,7 +192,7 @@ async def _one_by_one(bus: _Bus) -> float:
 
 
 async def _said(link: Link, address: int, text: str) -> None:
-    """A line with its checksum; returns when its answer has come."""
+    """Send a line with its checksum; return when its reply has arrived."""
     line = f"{address}{text}".encode()
     link.write(line + bytes((sum(line) % 128,)) + b"\r")
     answer = (await link.read()).data

@@ -1,4 +1,4 @@
-"""Measured durations in few figures, and how much of them is this machine's own noise."""
+"""Statistics of measured durations, and the noise of this machine."""
 
 import asyncio
 import math
@@ -11,7 +11,7 @@ NOISE_EVERY_S = 0.005
 
 
 class Spread(NamedTuple):
-    """`n` durations in ms. asked: what they should keep, in words; met: whether they do, where something is asked."""
+    """`n` durations in ms. asked: their target, in words; met: whether it is reached, where there is one."""
 
     n: int
     p50_ms: float
@@ -22,7 +22,7 @@ class Spread(NamedTuple):
 
 
 def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None) -> Spread:
-    """Percentiles by nearest rank, against what is asked of the 99th or of the largest."""
+    """Compute percentiles by nearest rank, with a target for the 99th or for the largest."""
     ordered = sorted(each / 1e6 for each in durations_ns)
     p50, p99 = (ordered[math.ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
     asked, met = "", None
@@ -34,7 +34,7 @@ def spread(durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: flo
 
 
 class Noise:
-    """How late this machine wakes a process that sleeps: no program on it can react more evenly than that."""
+    """Measures the wake-up delay of sleeping processes on this machine: no program on it can react more evenly."""
 
     def __init__(self) -> None:
         self._late_ns: list[int] = []
@@ -47,7 +47,7 @@ class Noise:
         self._task.cancel()
 
     def spread(self) -> Spread:
-        """What was heard so far."""
+        """Return the delays so far."""
         return spread(self._late_ns or [0])
 
     async def _listen(self) -> None:

@@ -1,7 +1,8 @@
-"""How well fleets start, stay and end together: whole coordinators in virtual time, judged by the simulators' truth.
+"""The skew of fleets at start, on the path and at the end: complete coordinators in virtual time, checked against
+the simulators' ground truth.
 
-A world is a fleet with crystals of its own that has polled its controllers for a while; in it one step after the other
-is run, there and back, after pauses of random length, so that every start meets other phases of the servo ticks.
+An environment is a fleet with its own crystals that has polled its controllers for a while; it runs one step after
+the other, there and back, after pauses of random length, so that every start has other phases of the servo ticks.
 """
 
 import asyncio
@@ -23,20 +24,22 @@ from orchestrator.runtime.workers import spread
 
 HISTORY_S = 300
 STEPS_A_WORLD = 40
-WORLDS = 10  # of a row of many trials, at the least
-LOOKS = 24  # at the path of each step
-PEAK_SHARE = 0.1  # of the peak velocity, below which a distance is no time
+WORLDS = 10  # of a row of many trials, at least
+LOOKS = 24  # samples of the path of each step
+PEAK_SHARE = 0.1  # of the peak velocity; below it a distance is not converted to a time
 PAUSE_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A row: a fleet, and how it moves.
+    """A row: a fleet, and its moves.
 
-    cruise_s: at half the speed limit. step: more fields of the move. trials: share of those asked for. steps_a_world:
-    few where it matters how different the crystals are; None: forty, or more where many are asked for. most_ms: what
-    its figures may be at the most. bound: the p99 of its start skew that nobody can do better than, where that is
-    known.
+    cruise_s: at half the speed limit.
+    step: more fields of the move.
+    trials: share of the requested number.
+    steps_a_world: few where differences of crystals matter; None: forty, or more for many trials.
+    most_ms: targets of its figures.
+    bound: smallest possible p99 of its start skew, where that is known.
     """
 
     name: str
@@ -116,7 +119,8 @@ CASES = (
     Case("best", "mixed", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
     Case("best", "mixed, lines", asked="p99 2.5 ms", most_ms={"start_p99": 2.5}),
     Case("line", "mixed, lines", step={"start": "line"}, trials=0.5),
-    # Two units that begin up to 15 ms later than told can not be told better, unless by a line or by their own clock.
+    # Two controllers that begin up to 15 ms late cannot be timed better, except by a trigger line or by their own
+    # clock.
     Case(
         "best",
         "mixed with pp",
@@ -128,11 +132,18 @@ CASES = (
 
 
 class SyncFigures(NamedTuple):
-    """Skews in ms: of starts, ends, and on the way. budget: predicted, guaranteed, its median. width: of the verdict's
-    interval; 99 in 100 are narrower; width_most: what is asked of it. misses: verdicts that do not hold the truth.
-    late: steps in which a wire kept a line of a start by the host for longer than its adapter counts on
-    (`wire_jitter_us`); nobody can know that, so what rests on it is no miss, but what the controllers have shown is.
-    worst: member and term that the budget names. The old ways have only starts."""
+    """Skews in ms: of starts, ends, and on the path.
+
+    budget: predicted, guaranteed, its median.
+    width: of the verdict's interval; 99 in 100 are narrower.
+    width_most: its target.
+    misses: verdicts that do not contain the true skew.
+    late: steps in which a link delayed a start command of the host for longer than its adapter allows
+    (`wire_jitter_us`); this cannot be detected, so a verdict based on it is no miss, but the controllers' evidence
+    must hold.
+    worst: member and term that the budget names.
+
+    Baseline methods have only starts."""
 
     fleet: str
     way: str
@@ -175,7 +186,8 @@ def bench_sync(
     processes: int = 1,
     told: Callable[[SyncFigures], None] = lambda _: None,
 ) -> tuple[list[SyncFigures], dict[str, list[float]]]:
-    """All rows whose name `only` (a regular expression) finds, the old ways first; with their start skews, ms."""
+    """Run all rows whose name matches `only` (a regular expression), baselines first; return also their start skews,
+    ms."""
     rows: list[SyncFigures] = []
     starts: dict[str, list[float]] = {}
 
@@ -196,7 +208,7 @@ def bench_sync(
 
 
 class OldTrial(NamedTuple):
-    """One of a row of BASELINES."""
+    """One trial of a row of BASELINES."""
 
     row: int
     seed: int
@@ -204,7 +216,7 @@ class OldTrial(NamedTuple):
 
 
 def _play_old(trial: OldTrial) -> float:
-    """The start skew, ms."""
+    """Return the start skew, ms."""
     draw = Random(f"{trial.seed} {trial.number}")
     return run_virtual(lambda clock: BASELINES[trial.row].trial(clock, draw)) / 1e6
 
@@ -279,18 +291,18 @@ async def _steps(clock: VirtualClock, world: World) -> list[Trial]:
 
 
 async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> Trial:
-    before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+    before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
     seen: list[tuple[int, dict[str, float]]] = []
     watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
     report = await _run(fleet, [move])
     watching.cancel()
     step = report.steps[0]
     client = fleet.client("path")
-    recording = await client.recording(report.job_id, 0)
+    recording = await client.load_recording(report.job_id, 0)
     await client.close()
     assert recording is not None
-    made = [each.motions[before[name]] for name, each in fleet.controllers.items()]
-    origin_ns = next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+    made = [each.commanded_motions[before[name]] for name, each in fleet.controllers.items()]
+    origin_ns = next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
     start_ns = max(motion.start_ns for motion in made) - min(motion.start_ns for motion in made)
     ends = [motion.end_ns for motion in made if motion.end_ns is not None]
     skew, budget = step.start_skew, step.budget
@@ -303,7 +315,7 @@ async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: 
     missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
     for name, motion in moved.items():
         for evidence in step.members[name].evidence.values():
-            for said in (evidence.start,) if late else (evidence.start, evidence.judged_start):
+            for said in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
                 missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
     return Trial(
         start_ns,
@@ -319,8 +331,8 @@ async def _trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: 
 
 
 def _irreducible_ns(step: StepReport, name: str) -> int:
-    """What nobody can know of a member's start, to either side. With a clock: half its shortest question, and the tick
-    by which it stamps; without, half of what its wire and firmware leave open."""
+    """Return the part of a member's start that cannot be determined, to either side. With a clock: half its shortest
+    round trip, and the tick by which it timestamps; without, half of what its link and firmware leave open."""
     assert step.budget is not None
     member, budget = step.members[name], step.budget.members[name]
     if member.mapping is not None and member.start_class == "clock":
@@ -331,7 +343,7 @@ def _irreducible_ns(step: StepReport, name: str) -> int:
 async def _watch_path(
     fleet: VirtualFleet, every_ns: int, draw: Random, seen: list[tuple[int, dict[str, float]]]
 ) -> None:
-    """Take down where all axes really are (counts), at random instants."""
+    """Record the true positions of all axes (counts), at random instants."""
     motors = {name: config.axes["x"].motors[0] for name, config in fleet.fleet.controllers.items()}
     while True:
         await sleep_ns(fleet.clock, every_ns // 2 + draw.randrange(every_ns))
@@ -340,10 +352,10 @@ async def _watch_path(
 
 
 def _path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
-    """How far the axes' places on the plan are apart in time, ns, at the most: (position - plan) / planned velocity,
-    where that is at least a tenth of the axis's peak."""
+    """Return the largest distance in time between the axes' positions on the plan, ns: (position - plan) / planned
+    velocity, where that is at least a tenth of the axis's peak."""
     worst_ns = 0.0
-    at = {axis: each.profile.evaluator() for axis, each in recording.axes.items()}
+    at = {axis: each.profile.make_evaluator() for axis, each in recording.axes.items()}
     for now_ns, where in seen:
         since_s = (now_ns - origin_ns - recording.t0_fleet_ns) * 1e-9
         late: list[float] = []
@@ -371,11 +383,11 @@ async def _run(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> JobReport:
     )
     client = fleet.client("sync")
     try:
-        report = await client.wait(await client.submit(job))
+        report = await client.wait_for_job(await client.submit(job))
     finally:
         await client.close()
     if report.state != "done":
-        raise RuntimeError(f"the step has not run: {report.reason}")
+        raise RuntimeError(f"the step did not run: {report.reason}")
     return report
 
 

@@ -1,6 +1,6 @@
-"""The old ways of starting controllers together, as real baselines: bytes on simulated wires, nothing of Tutti between.
+"""Baseline methods of starting controllers together: bytes on simulated links, without any part of Tutti.
 
-Moves are loaded by hand; then a chain gets its broadcast, or each controller its go.
+Moves are loaded manually; then a chain gets its broadcast, or each controller its start command.
 """
 
 import asyncio
@@ -16,22 +16,22 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import Link
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire
-from sim.core.controller import Branch, Port, SimulatedController, Timing, build_line
+from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
 COUNT = 8
 _LOAD = ("SHX", "SPX=50000", "ACX=500000", "DCX=500000", "PRX=20000")
-_TIMING = Timing(500 * NS_PER_US, SPREAD_US * NS_PER_US)
+_TIMING = FirmwareTiming(500 * NS_PER_US, SPREAD_US * NS_PER_US)
 _SETTLE_NS = 200 * NS_PER_MS
 _HOLD_NS = round(HOLD_MS * NS_PER_MS)
-_WRITE_NS = (20_000, 60_000)  # what a write to a socket or port takes a script
+_WRITE_NS = (20_000, 60_000)  # duration of a script's write to a socket or port
 _SILENCE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """A row: fleet, way, and what runs one trial and gives its start skew in ns."""
+    """A row: fleet, method, and the function that runs one trial and returns its start skew in ns."""
 
     fleet: str
     way: str
@@ -43,17 +43,17 @@ def _crystal(draw: Random) -> Oscillator:
 
 
 def _aged(draw: Random) -> int:
-    """So long after power-up: by then the phases of the servo ticks are anywhere."""
+    """Return a time since power-up after which the phases of the servo ticks are random."""
     return draw.randrange(200 * NS_PER_S, 600 * NS_PER_S)
 
 
 def _skew(units: list[SimulatedController]) -> int:
-    starts = [unit.motions[-1].start_ns for unit in units]
+    starts = [unit.commanded_motions[-1].start_ns for unit in units]
     return max(starts) - min(starts)
 
 
 async def _drain(link: Link) -> None:
-    """Take everything that has been answered so far."""
+    """Read everything that has arrived so far."""
     with suppress(TimeoutError):
         while True:
             async with asyncio.timeout(_SILENCE_S):
@@ -61,22 +61,23 @@ async def _drain(link: Link) -> None:
 
 
 async def _answered(link: Link, ends: bytes) -> None:
-    """Read until an acknowledge has come."""
+    """Read until an acknowledgement has arrived."""
     seen = b""
     while not seen.endswith(ends):
         seen += (await link.read()).data
 
 
 async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
-    """`!BG` to a daisy chain; with shared sample clock, `TM -1` in all units but the first (SMC-2000, L975)."""
+    """Send `!BG` to a daisy chain; with shared sample clock, `TM -1` in all controllers but the first (SMC-2000,
+    L975)."""
     branches = {
-        f"u{k}": Branch(k, {"axes": 2, "echo": False}, _crystal(draw), _TIMING, draw.randrange(2**31))
+        f"u{k}": DeviceSpec(k, {"axes": 2, "echo": False}, _crystal(draw), _TIMING, draw.randrange(2**31))
         for k in range(COUNT)
     }
-    line = build_line(simulator("smc2000"), clock, branches)
+    line = build_line(find_simulator("smc2000"), clock, branches)
     if shared:
-        line.far.share_clock()  # type: ignore[attr-defined]  # of a chain
-    link = await _wire(clock, line.far, "serial", draw, 19200).open()
+        line.endpoint.share_clock()  # type: ignore[attr-defined]  # of a chain
+    link = await _wire(clock, line.endpoint, "serial", draw, 19200).open()
     await sleep_ns(clock, _aged(draw))
     for k in range(COUNT):
         external = ("TM -1",) if shared and k else ()
@@ -85,17 +86,17 @@ async def _broadcast(clock: VirtualClock, draw: Random, shared: bool) -> int:
     link.write(b"!BGX\r")
     await sleep_ns(clock, _SETTLE_NS)
     await link.close()
-    return _skew(list(line.units.values()))
+    return _skew(list(line.devices.values()))
 
 
 @dataclass(frozen=True, slots=True)
 class _Make:
-    """How a controller of a make is spoken to by hand. load: lines; go: what starts it; ends: of its acknowledge."""
+    """The manual commands of a make. load: lines; go: the start command; ends: the end of its acknowledgement."""
 
     model: str
     baud: int
     options: Mapping[str, object]
-    timing: Timing
+    timing: FirmwareTiming
     load: tuple[str, ...]
     go: str
     ends: bytes
@@ -108,7 +109,7 @@ _SHRC203 = _Make(
     "shrc203",
     38400,
     {"divide": 20, "speed": [100, 20000, 100]},
-    Timing(NS_PER_MS, 800 * NS_PER_US),
+    FirmwareTiming(NS_PER_MS, 800 * NS_PER_US),
     ("C:11", "MP:1+P20000,S100F20000R100"),
     "G:1",
     b"OK\r\n",
@@ -117,14 +118,15 @@ _SHRC203 = _Make(
 
 
 async def _one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_Make], waits: bool) -> int:
-    """Each controller on a link of its own is told to go; waits: only when the one before has acknowledged."""
+    """Send the start command to each controller on its own link; waits: only after the previous one has
+    acknowledged."""
     units: list[SimulatedController] = []
     links: list[Link] = []
     for k, make in enumerate(makes):
-        branch = Branch(None, make.options, _crystal(draw), make.timing, draw.randrange(2**31))
-        line = build_line(simulator(make.model), clock, {f"u{k}": branch})
-        units += line.units.values()
-        links.append(await _wire(clock, line.far, "serial" if make.baud else "tcp", draw, make.baud).open())
+        branch = DeviceSpec(None, make.options, _crystal(draw), make.timing, draw.randrange(2**31))
+        line = build_line(find_simulator(make.model), clock, {f"u{k}": branch})
+        units += line.devices.values()
+        links.append(await _wire(clock, line.endpoint, "serial" if make.baud else "tcp", draw, make.baud).open())
         for text in make.load:
             links[-1].write((text + make.eol).encode())
             await sleep_ns(clock, _SETTLE_NS)
@@ -142,7 +144,7 @@ async def _one_by_one(clock: VirtualClock, draw: Random, makes: Sequence[_Make],
     return _skew(units)
 
 
-def _wire(clock: VirtualClock, far: Port, port: str, draw: Random, baud: int) -> MemoryWire:
+def _wire(clock: VirtualClock, far: LineEndpoint, port: str, draw: Random, baud: int) -> MemoryWire:
     model = serial_wire(baud, hold_ns=_HOLD_NS) if baud else LAN
     return MemoryWire(clock, model, far, port, port, copy_context(), draw.randrange(2**31))
 
@@ -159,5 +161,6 @@ BASELINES = (
     Baseline("8 SMC-2000, one chain", "old: !BG, shared clock", lambda clock, draw: _broadcast(clock, draw, True)),
     *_by_hand("8 SMC-4000", [_SMC4000] * COUNT),
     *_by_hand("8 SMC-2000, own ports", [_SMC2000] * COUNT),
-    *_by_hand("mixed", [_SMC4000, _SMC4000, _SMC2000, _SMC2000, _SHRC203, _SHRC203]),  # of what starts by one line
+    # of controllers started by one trigger line
+    *_by_hand("mixed", [_SMC4000, _SMC4000, _SMC2000, _SMC2000, _SHRC203, _SHRC203]),
 )

@@ -1,6 +1,6 @@
-"""How close starts can come at all, p99: perfect clocks and links, and what is left by phases, crystals and firmware.
+"""The smallest possible start skew, p99: with perfect clocks and links, only phases, crystals and firmware remain.
 
-What nobody can do better than, with these models; a fleet that comes near it has nothing more to gain from its clocks.
+No method can do better with these models; a fleet close to it cannot gain from better clocks.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ Bound = Callable[[], float]
 
 
 def ticks(count: int, tick_ms: float) -> Bound:
-    """`count` controllers that begin at ticks of random phase, told to begin just behind the largest gap."""
+    """`count` controllers that begin at ticks of random phase, commanded just after the largest gap."""
 
     def p99() -> float:
         phases = np.sort(np.random.default_rng(count).random((DRAWS, count)), axis=1)
@@ -40,6 +40,6 @@ def drifting_ticks(within_s: float, tick_ms: float) -> Bound:
 
 
 def latencies(spread_ms: float) -> Bound:
-    """Two controllers that begin at once when told, a uniform time later each time."""
+    """Two controllers that begin immediately on command, each after a uniform random time."""
     # The difference of two uniform values is below x with 1 - (1 - x)²; of the spread.
     return lambda: spread_ms * (1.0 - 0.01**0.5)

@@ -1,4 +1,4 @@
-"""Simulated fleets for measuring how well starts and ends fall together: links, firmware and crystals as they vary."""
+"""Simulated fleets for measuring the skew of starts and ends, with varied links, firmware and crystals."""
 
 from collections.abc import Mapping
 from random import Random
@@ -6,8 +6,8 @@ from typing import Any
 
 from orchestrator.model.fleet import Fleet
 
-SPREAD_US = 50  # of a Yaskawa's firmware; its half millisecond a command is in the manuals
-PP_SPREAD_MS = 15.0  # of a pp-electronic SMC, behind a Windows tick: nothing in it is steadier
+SPREAD_US = 50  # of a Yaskawa's firmware; its half millisecond per command is in the manuals
+PP_SPREAD_MS = 15.0  # of a pp-electronic SMC, which uses a Windows tick: nothing in it is steadier
 HOLD_MS = 16.0  # the latency timer of a USB serial adapter
 DRIFT_PPM = 50.0
 WANDER_PPM = 0.05
@@ -58,8 +58,8 @@ def smc4000(number: int) -> dict[str, Any]:
 
 
 def smc2000(number: int, unit: int | None = None) -> dict[str, Any]:
-    """On a port of its own, or with an address on a chain."""
-    more = {} if unit is None else {"unit": unit}
+    """Return a controller on its own port, or with an address on a chain."""
+    more = {} if unit is None else {"address": unit}
     simulate = {"options": _YASKAWA, "decode_us": 500, "spread_us": SPREAD_US, "hold_ms": HOLD_MS}
     return _controller("smc2000", _serial(number, 19200, **more), _SERVO, "X", simulate, **_LINE)
 
@@ -76,7 +76,7 @@ def shrc203(number: int) -> dict[str, Any]:
 
 
 def smc30(number: int, unit: int) -> dict[str, Any]:
-    link = _serial(number, 9600, data_bits=7, parity="odd", unit=unit)
+    link = _serial(number, 9600, data_bits=7, parity="odd", address=unit)
     simulate = {"options": {"checksum": True, "travel_steps": [-20_000, 400_000]}, "spread_us": 200, "hold_ms": HOLD_MS}
     return _controller("smc30", link, _STEPS, "1", simulate, **_LINE)
 
@@ -89,7 +89,7 @@ def ppsmc(number: int) -> dict[str, Any]:
 
 
 def mixed(pp: bool) -> dict[str, dict[str, Any]]:
-    """Two of each make; the SMC30 share a bus."""
+    """Return two of each make; the SMC30 share a bus."""
     controllers = {
         "a1": smc4000(0),
         "a2": smc4000(1),
@@ -104,7 +104,7 @@ def mixed(pp: bool) -> dict[str, dict[str, Any]]:
 
 
 def wired(controllers: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """One output of the first controller to an input of all others."""
+    """Wire one output of the first controller to an input of all others."""
     names = list(controllers)
     first = {**controllers[names[0]], "outputs": {"start": {"number": 1}}}
     wire = {"from": f"{names[0]}.start", "to": [f"{name}.start" for name in names[1:]], "delay_us": [5, 50]}
@@ -125,7 +125,7 @@ FLEETS: dict[str, dict[str, Any]] = {
 
 
 def sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
-    """The fleet `name` with crystals drawn by `seed`, and limits of all axes changed, e.g. `jerk`."""
+    """Return the fleet `name` with crystals drawn by `seed`, and limits of all axes changed, e.g. `jerk`."""
     draw = Random(f"{name} {seed}")
     plain = FLEETS[name]
     controllers: dict[str, Any] = {}

@@ -1,7 +1,7 @@
-"""The same fleets with real sockets, pseudo-terminals and processes of this machine, and all its noise in the figures.
+"""The same fleets with real sockets, pseudo-terminals and processes of this machine, including its noise.
 
-Adapters, firing process, bus and coordinator are the real ones; simulated controllers act late like every process here,
-which controllers of iron do not: what is found is this machine's figure, not the fleet's.
+Adapters, firing process, bus and coordinator are the real ones; simulated controllers are delayed like every process
+here, unlike hardware: the result is this machine's figure, not the fleet's.
 """
 
 from collections.abc import Callable
@@ -14,15 +14,16 @@ from orchestrator.bench.sync_fleets import sync_fleet
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.job import Job
-from orchestrator.model.messages import Reign
+from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.runtime.demo_truth import verdicts_against_truth
 
 FLEETS = ("8 SMC-4000", "mixed")
 
 
 class LiveSync(NamedTuple):
-    """start: skews of true starts. outside: steps with a start outside its evidence. noise: how late this machine wakes
-    a process."""
+    """start: skews of true starts.
+    outside: steps with a start outside its evidence.
+    noise: wake-up delay of a process on this machine."""
 
     fleet: str
     start: Spread
@@ -31,7 +32,7 @@ class LiveSync(NamedTuple):
 
 
 async def bench_sync_live(steps: int, state: Path, told: Callable[[str], None]) -> list[LiveSync]:
-    """Run `steps` steps on each fleet. Raises `UpFailed`, `Refused`, `NothingHappened`."""
+    """Run `steps` steps on each fleet. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     return [await _fleet(name, steps, state / str(number), told) for number, name in enumerate(FLEETS)]
 
 
@@ -54,11 +55,11 @@ async def _fleet(name: str, steps: int, state: Path, told: Callable[[str], None]
     )
     async with measured_fleet(fleet, state) as (live, tutti), Noise() as noise:
         began_ns = raw_ns()
-        report = await tutti.wait(await tutti.submit(job), poll_s=0.2)
+        report = await tutti.wait_for_job(await tutti.submit(job), poll_s=0.2)
         if report.state != "done":
             raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
-        async with tutti.samples(tutti.keys.reign) as heard:
-            origin_ns = Reign.model_validate_json((await heard.get()).payload).origin_host_ns
+        async with tutti.subscribe_samples(tutti.keys.leader) as heard:
+            origin_ns = LeaderHeartbeat.model_validate_json((await heard.get()).payload).origin_host_ns
         held = verdicts_against_truth(fleet, report, live.state / "truth", origin_ns)
         told(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
         return LiveSync(

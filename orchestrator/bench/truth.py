@@ -1,4 +1,4 @@
-"""What simulated controllers really did, read while they write it down; instants are host time in ns."""
+"""Ground truth of simulated controllers, read while it is written; instants are host time in ns."""
 
 import asyncio
 import json
@@ -7,15 +7,15 @@ from typing import Any
 
 LOOK_S = 0.02
 GIVE_UP_S = 20.0
-UNORDERED_NS = 5_000_000_000  # by which an entry may be older than one that was written before it, and more
+UNORDERED_NS = 5_000_000_000  # an entry may be this much older than the one written before it, with some margin
 
 
 class NothingHappened(Exception):
-    """What was waited for did not happen. Says what."""
+    """An expected event did not happen. The text names it."""
 
 
 class Truth:
-    """The truth log of one simulated controller, from now on."""
+    """The ground truth log of one simulated controller, from now on."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -23,7 +23,8 @@ class Truth:
         self._entries: list[dict[str, Any]] = []
 
     async def after(self, event: str, at_ns: int) -> int:
-        """When the first `start`, `slowing` or `end` of any axis came after `at_ns`. Raises `NothingHappened`."""
+        """Return the instant of the first `start`, `slowing` or `end` of any axis after `at_ns`. Raises
+        `NothingHappened`."""
         try:
             async with asyncio.timeout(GIVE_UP_S):
                 while (found := self._first(event, at_ns)) is None:
@@ -34,17 +35,18 @@ class Truth:
         return found
 
     def ends_after(self, at_ns: int) -> list[int]:
-        """When motions came to rest that moved after `at_ns`, as far as they are written down."""
+        """Return the ends of motions that moved after `at_ns`, as far as recorded."""
         self._read()
         return [entry["end_ns"] for entry in self._entries if entry["event"] == "end" and entry["end_ns"] > at_ns]
 
     def count(self, event: str, at_ns: int) -> int:
-        """How many such events of any axis came after `at_ns`."""
+        """Return the number of such events of any axis after `at_ns`."""
         self._read()
         return sum(entry["event"] == event and entry[f"{event}_ns"] > at_ns for entry in self._entries)
 
     def _first(self, event: str, at_ns: int) -> int | None:
-        """Looks back no further than it must: whoever looks through all keeps this process from what it measures."""
+        """Find the first such event. Looks back only as far as necessary: a scan of all entries would disturb the
+        measurement."""
         first: int | None = None
         for entry in reversed(self._entries):
             ns = entry[f"{entry['event']}_ns"]

@@ -1,4 +1,4 @@
-"""How fast a fleet runs in virtual time."""
+"""The speed of a fleet in virtual time."""
 
 import time
 from typing import NamedTuple
@@ -46,13 +46,13 @@ async def _run(fleet: Fleet, clock: VirtualClock, hours: float, seed: int) -> tu
 
 async def _do(client: Tutti, name: str, steps: list[dict[str, object]]) -> None:
     job = Job.model_validate({"schema": "tutti.job/1", "name": name, "steps": steps})
-    report = await client.wait(await client.submit(job), poll_s=60.0)
+    report = await client.wait_for_job(await client.submit(job), poll_s=60.0)
     if report.state != "done":
         raise RuntimeError(f"the benchmark's job {name!r} is {report.state}: {report.reason}")
 
 
 def _move(fleet: Fleet, share: float) -> dict[str, object]:
-    """A move of every axis with soft limits to a share of its range."""
+    """Return a move of every axis with soft limits to a share of its range."""
     targets: dict[str, float] = {}
     for name in fleet.axis_names:
         axis = fleet.axis(name)

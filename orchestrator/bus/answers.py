@@ -1,4 +1,5 @@
-"""Requests that come twice, e.g. because their sender has given up waiting, are done once and answered alike."""
+"""Idempotent requests: one that arrives twice, e.g. because its sender has timed out, is executed once and answered
+twice."""
 
 import asyncio
 from collections import OrderedDict
@@ -12,11 +13,12 @@ class Answers:
     """The newest `KEPT` answers, by verb and request id."""
 
     def __init__(self) -> None:
-        # What has been answered is kept as bytes: a host has thousands, and finished tasks drag along all they had.
+        # Answers are kept as bytes: a host has thousands, and finished tasks would keep their whole state alive.
         self._given: OrderedDict[tuple[str, str], bytes | asyncio.Task[bytes]] = OrderedDict()
 
     async def once(self, verb: str, request_id: str, work: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
-        """What `work` gives, or has given or will give to the same request. It goes on when nobody waits for it."""
+        """Return the result of `work`, or the past or pending result of the same request. The work continues when
+        its caller gives up."""
         key = (verb, request_id)
         given = self._given.get(key)
         if isinstance(given, bytes):
@@ -29,6 +31,6 @@ class Answers:
         return await asyncio.shield(given)
 
     def _keep(self, key: tuple[str, str], done: "asyncio.Task[bytes]") -> None:
-        # A task that failed stays: whoever asks again gets the same error.
+        # A task that failed is kept: a repeated request gets the same error.
         if key in self._given and not done.cancelled() and done.exception() is None:
             self._given[key] = done.result()

@@ -1,7 +1,7 @@
-"""Keys and key expressions, with the meaning Zenoh gives them.
+"""Keys and key expressions, with Zenoh's meaning.
 
-A key is one or more chunks with `/` between. In an expression `*` stands for one chunk and `**` for any number of
-them, none included. Zenoh's `$*` (part of a chunk) is left out: nothing here needs it.
+A key is one or more chunks separated by `/`. In an expression `*` stands for one chunk and `**` for any number of
+chunks, including none. Zenoh's `$*` (part of a chunk) is not supported.
 """
 
 from functools import lru_cache
@@ -12,27 +12,27 @@ _FORBIDDEN = frozenset("?#$ \t\r\n")
 
 
 def check_key(key: str) -> str:
-    """Give `key` back. Raises `ValueError` when it is not a concrete key."""
+    """Return `key`. Raises `ValueError` if it is not a concrete key."""
     if is_wild(check_expression(key)):
-        raise ValueError(f"{key!r} is an expression where a key without '*' is needed")
+        raise ValueError(f"{key!r} is an expression, but a key without '*' is needed")
     return key
 
 
 def check_put(key: str, priority: Priority) -> str:
-    """Give back what a sample is put on: a key; of an e-stop, an expression too. Raises `ValueError`."""
+    """Return the key of a sample; for an e-stop an expression is allowed, too. Raises `ValueError`."""
     return check_expression(key) if priority is Priority.ESTOP else check_key(key)
 
 
 @lru_cache(maxsize=4096)
 def check_expression(expression: str) -> str:
-    """Give `expression` back. Raises `ValueError` when it is malformed."""
+    """Return `expression`. Raises `ValueError` if it is malformed."""
     for chunk in expression.split("/"):
         if not chunk:
             raise ValueError(f"{expression!r} has an empty chunk")
         if "*" in chunk and chunk not in ("*", "**"):
             raise ValueError(f"{expression!r}: '*' and '**' must be whole chunks, {chunk!r} is not")
         if not _FORBIDDEN.isdisjoint(chunk):
-            raise ValueError(f"{expression!r}: none of '?', '#', '$' and white space may stand in a key")
+            raise ValueError(f"{expression!r}: '?', '#', '$' and white space are not allowed in a key")
     return expression
 
 
@@ -43,7 +43,7 @@ def is_wild(expression: str) -> bool:
 
 @lru_cache(maxsize=65536)
 def intersects(one: str, other: str) -> bool:
-    """Whether there is a key that both expressions stand for."""
+    """Whether a key exists that matches both expressions."""
     if not is_wild(one) and not is_wild(other):
         return one == other
     return _meet(one.split("/"), other.split("/"))

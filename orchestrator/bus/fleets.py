@@ -1,4 +1,4 @@
-"""Which fleets are on the bus."""
+"""Discovery of the fleets on the bus."""
 
 import asyncio
 
@@ -9,7 +9,7 @@ ANSWER_S = 2.0
 
 
 async def find_fleets(bus: Bus) -> list[str]:
-    """Those of which a coordinator or an adapter answers, in the order of their names."""
+    """The fleets that have a coordinator or an adapter which answers, sorted by name."""
     asked = [f"{ROOT}/*/time", f"{ROOT}/*/ctl/*/state"]
     found = await asyncio.gather(*(bus.request_all(each, b"", ANSWER_S) for each in asked), return_exceptions=True)
     keys: set[str] = set()

@@ -1,4 +1,4 @@
-"""Logging: JSON lines with who, when (UTC and fleet time) and about what; warnings and worse also on the bus."""
+"""Logging: JSON lines with source, time (UTC and fleet time) and subject; warnings and errors also on the bus."""
 
 import json
 from collections.abc import Callable
@@ -12,7 +12,7 @@ Sink = Callable[[str], None]
 
 
 class Log:
-    """One process's or controller's log. `fleet_ns` gives fleet time where it is known."""
+    """The log of one process or controller. `fleet_ns` returns fleet time where it is known."""
 
     def __init__(
         self, role: str, id: str, clock: Clock, sink: Sink, bus: Bus | None = None, keys: Keys | None = None
@@ -25,11 +25,11 @@ class Log:
         self.fleet_ns: Callable[[], int | None] = lambda: None
 
     def info(self, text: str, **fields: Any) -> None:
-        """What is worth a line in the file. Fields: job, step, epoch, controller, and whatever explains."""
+        """Write a line to the file only. Fields: job, step, epoch, controller, and others that explain it."""
         self._sink(self._line("info", text, fields))
 
     def warning(self, text: str, **fields: Any) -> None:
-        """What somebody should know now."""
+        """Write a line to the file and publish it on the bus."""
         line = self._line("warning", text, fields)
         self._sink(line)
         if self._bus is not None:

@@ -1,4 +1,4 @@
-"""Where log lines go, live."""
+"""The file that log lines are written to, live."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from orchestrator.bus.log import Sink
 
 
 def file_sink(path: Path) -> Sink:
-    """A sink that appends to `path`, each line written at once so that it survives a crash of this process."""
+    """Make a sink that appends to `path`; each line is written at once, so that it survives a crash of this process."""
     path.parent.mkdir(parents=True, exist_ok=True)
     file = path.open("a", encoding="utf-8", buffering=1)
 

@@ -1,4 +1,4 @@
-"""What becomes of one request: the rules that both buses share for replies, refusals and silence."""
+"""The outcome of one request: the rules that both buses share for replies, error replies and silence."""
 
 import asyncio
 
@@ -8,7 +8,8 @@ from orchestrator.bus.base import NoReply, RequestRefused, RequestTimeout
 class Outcome:
     """Collects the replies to one request and settles its future once.
 
-    With `first_only` the first valid reply settles it; without, all valid replies until nobody is left to answer.
+    With `first_only` the first valid reply settles it; without, all valid replies are collected until no server is
+    left.
     """
 
     def __init__(self, key: str, timeout_s: float, *, first_only: bool) -> None:
@@ -21,31 +22,31 @@ class Outcome:
 
     @property
     def over(self) -> bool:
-        """Whether replies no longer count: settled, or given up by who asked."""
+        """Whether replies no longer count: the request is settled, or its sender has given up."""
         return self.settled.done()
 
     @property
     def answered(self) -> bool:
-        """Whether any reply came, a valid one or an error."""
+        """Whether any reply has arrived, valid or an error."""
         return bool(self._replies) or self._refusal is not None
 
     def take(self, key: str, payload: bytes) -> None:
-        """A valid reply came. Of several on one key the first counts."""
+        """Take a valid reply. Of several on one key the first counts."""
         self._replies.setdefault(key, payload)
         if self._first_only:
             self._settle()
 
     def refuse(self, text: str) -> None:
-        """An error reply came. It counts only when no valid one does; of several the first."""
+        """Take an error reply. It counts only if no valid one arrives; of several the first."""
         if self._refusal is None:
             self._refusal = text
 
     def complete(self) -> None:
-        """Nobody is left who could still answer."""
-        self._settle(NoReply(f"nobody serves {self.key}"))
+        """No server is left that could still answer."""
+        self._settle(NoReply(f"no process serves {self.key}"))
 
     def expire(self) -> None:
-        """The time is up."""
+        """The timeout has expired."""
         self._settle(RequestTimeout(f"no valid reply on {self.key} within {self._timeout_s:g} s"))
 
     def fail(self, reason: Exception) -> None:

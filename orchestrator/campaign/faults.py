@@ -1,4 +1,4 @@
-"""What breaks in the fault campaign: where it strikes, how, and how a person mends it."""
+"""The faults of the campaign: what each one affects, how it is injected, and how an operator repairs it."""
 
 from collections.abc import Callable
 from contextvars import Context
@@ -13,9 +13,9 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.can import decode, encode
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import Estop
+from orchestrator.model.messages import EstopMessage
 from orchestrator.runtime.virtual import VirtualFleet
-from sim.smc30.framing import checksum
+from sim.smc30.framing import compute_checksum
 
 Reach = Literal["unit", "power", "line", "host", "fleet"]
 
@@ -24,11 +24,14 @@ Reach = Literal["unit", "power", "line", "host", "fleet"]
 class Fault:
     """One kind of fault.
 
-    reach: whom it touches besides the member; power: those on its line, too. must_stop: a step that has begun must not
-    go on, and stops within the time of a detection; latent: nobody can notice before the member is told to go, or
-    moves. harmless: all jobs are done in spite of it. deaf: who is touched can not be stopped by anybody meanwhile.
-    beyond: what is measured of those touched is outside the model of wire and crystal, so their evidence may be wrong.
-    hands_on: who is jogged may go on, as long as somebody renews it.
+    reach: the affected controllers besides the member; power: also those on its link.
+    must_stop: a step that has begun must not continue, and stops within the detection time.
+    latent: the fault cannot be detected before the member receives `go`, or moves.
+    harmless: all jobs complete despite it.
+    deaf: affected controllers cannot be stopped during the fault.
+    beyond: measurements of the affected controllers are outside the model of link and crystal, so their evidence may
+    be wrong.
+    hands_on: a jogged axis may continue, as long as the jog is renewed.
     """
 
     name: str
@@ -72,17 +75,20 @@ FAULTS: dict[str, Fault] = {
     )
 }
 
-CRYSTAL_PPM = 400.0  # eight times what a crystal of the fleets is off, at the most
+CRYSTAL_PPM = 400.0  # eight times the largest rate error of a crystal in the fleets
 SLOW_NS = 150 * NS_PER_MS
 POWER_CYCLE_NS = 400 * NS_PER_MS
 REFUSALS_NS = 300 * NS_PER_MS
-OVERLAP_NS = 1500 * NS_PER_MS  # a new coordinator reigns for so long before a hung one wakes
+OVERLAP_NS = 1500 * NS_PER_MS  # a new coordinator leads for this time before a hung one resumes
 
 Mend = Callable[[], object]
 
 
 class Breaker:
-    """Breaks and mends one fleet. reigning: the coordinator that should reign now; overtaken: those that did before."""
+    """Injects and repairs the faults of one fleet.
+
+    leader_name: the coordinator that should lead now.
+    former_leaders: those that led before and were overtaken."""
 
     def __init__(self, fleet: VirtualFleet, clock: VirtualClock, draw: Random) -> None:
         self.reigning = "first"
@@ -95,7 +101,8 @@ class Breaker:
         self._mend: Mend = _nothing
 
     def touched(self, fault: Fault, member: str) -> list[str]:
-        """The controllers that `fault` of `member` touches: with the one that the permit's input is on, all."""
+        """Return the controllers that `fault` of `member` affects: all of them if one is the controller with the
+        permit's input."""
         controllers = list(self._whole.controllers)
         touched = controllers if fault.reach == "fleet" else self._reached(fault, member)
         return controllers if self._whole.permits and self._door()[0] in touched else touched
@@ -104,11 +111,11 @@ class Breaker:
         controllers = self._whole.controllers
         if fault.reach == "host":
             return [name for name, config in controllers.items() if config.host == controllers[member].host]
-        # Others on a line wait while one that is off is asked.
+        # Other controllers on a link wait while a controller that is off is polled.
         return [member] if fault.reach == "unit" else line_of(self._whole, member)
 
     async def strike(self, fault: Fault, member: str) -> None:
-        """Break it now."""
+        """Inject the fault now."""
         blow = {"fleet": self._fleet_blow, "host": self._host_blow, "line": self._line_blow}
         self._mend = blow.get(fault.reach, self._unit_blow)(fault.name, member)
         if fault.name == "stop":
@@ -117,7 +124,7 @@ class Breaker:
             await client.close()
 
     async def mend(self) -> None:
-        """What a person does about it."""
+        """Repair the fault as an operator does."""
         self._mend()
         hung = [name for name in self.overtaken if self._fleet.process(f"coordinator/{name}").frozen]
         if hung:
@@ -130,9 +137,9 @@ class Breaker:
         reigning = f"coordinator/{self.reigning}"
         match fault:
             case "estop":
-                event = f"e{self._clock.now_ns()}"  # a seed may have two
+                event = f"e{self._clock.now_ns()}"  # a seed may contain two
                 bus = fleet.net.join(f"campaign-{event}")
-                bus.put(fleet.keys.estop, Estop(event=event, actor="campaign").to_json(), Priority.ESTOP)
+                bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "permit-lost":
                 door, number = self._door()
                 fleet.within(door, lambda each: each.set_input(number, False))  # it is active when low
@@ -152,7 +159,7 @@ class Breaker:
                 return lambda: setattr(fleet, "disk_full", False)
             case "wall-clock":
                 self._clock.wall_step_ns += self._draw.choice((-3600, -1, 1, 3600)) * NS_PER_S
-            case _:  # none, and stop, which a client asks for
+            case _:  # "none", and "stop", which a client requests
                 pass
         return _nothing
 
@@ -199,12 +206,12 @@ class Breaker:
             case "link-slow":
                 wire.model = replace(usual, latency_ns=usual.latency_ns + self._draw.randrange(SLOW_NS))
             case "garbage":
-                # What is destroyed on a CAN bus is not delivered at all.
+                # Corrupted frames on a CAN bus are not delivered at all.
                 can = self._whole.controllers[member].link.kind == "can"
                 wire.to_near = self._drop if can else self._garble
             case "refusals":
                 make = self._whole.controllers[member].adapter
-                if make == "ppsmc":  # what it refuses it says nothing about: it is as if nothing had come
+                if make == "ppsmc":  # a refused command gets no reply: the same as a lost command
                     wire.to_far = lambda _: b""
                 else:
                     wire.to_near = _REFUSALS[make]
@@ -215,7 +222,7 @@ class Breaker:
         return mend
 
     def _unit_blow(self, fault: str, member: str) -> Mend:
-        fleet, axis = self._fleet, self._fleet.controllers[member].axes[0]
+        fleet, axis = self._fleet, self._fleet.controllers[member].axis_names[0]
 
         def power(on: bool) -> None:
             fleet.within(member, lambda each: each.set_power(on))
@@ -244,7 +251,7 @@ class Breaker:
         self._fleet.start_coordinator(self.reigning, take_over)
 
     def _door(self) -> tuple[str, int]:
-        """The input that is the fleet's permit."""
+        """Return the input of the fleet's permit."""
         controller, _, name = self._whole.permits[PERMIT].input.partition(".")
         return controller, self._whole.controllers[controller].inputs[name].number
 
@@ -255,7 +262,7 @@ class Breaker:
         return b"" if self._draw.random() < 0.7 else data
 
     def _later(self, after_ns: int, call: Callable[[], None]) -> None:
-        """Outside of every process."""
+        """Schedule a call outside of every process."""
         self._clock.call_at_ns(self._clock.now_ns() + after_ns, call, context=Context())
 
 
@@ -264,14 +271,14 @@ def _nothing() -> None:
 
 
 def _slower(fleet: Fleet, member: str) -> Fleet:
-    """The fleet file with another velocity limit."""
+    """Return the fleet file with another velocity limit."""
     plain = fleet.to_plain()
     for axis in plain["controllers"][member]["axes"].values():
         axis["limits"]["velocity"] *= 0.9
     return Fleet.model_validate(plain)
 
 
-# What a controller that refuses everything says, made of what it wanted to say.
+# Replies of a controller that refuses everything, made from its normal replies.
 
 
 def _yaskawa(data: bytes) -> bytes:
@@ -283,11 +290,11 @@ def _shrc203(data: bytes) -> bytes:
 
 
 def _smc30(data: bytes) -> bytes:
-    return b"E4" + bytes((checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
+    return b"E4" + bytes((compute_checksum(b"E4"),)) + b"\r" if data.endswith(b"\r") else data
 
 
 def _cia402(data: bytes) -> bytes:
-    """Answers to SDOs become aborts: "data can not be transferred because of the present device state"."""
+    """Replace replies to SDOs by aborts: "data cannot be transferred because of the present device state"."""
     abort = (0x0800_0022).to_bytes(4, "little")
     return encode(
         *(

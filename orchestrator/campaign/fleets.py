@@ -1,4 +1,4 @@
-"""Fleets of the fault campaign: controllers of random makes, with crystals, lines, hosts and wires as they vary."""
+"""Fleets of the fault campaign: controllers of random makes, with varied crystals, links, hosts and trigger wires."""
 
 from collections.abc import Callable, Sequence
 from random import Random
@@ -10,16 +10,16 @@ from orchestrator.model.fleet import Fleet
 MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 
 LEAST, MOST = 4, 6  # controllers of a fleet
-TOGETHER = 0.6  # chance that a make whose units can share a line stands on it more than once
+TOGETHER = 0.6  # chance that a make whose controllers can share a link has several on it
 PERMIT = "door"
 WITH_PERMIT = "smc4000"
-"""The make that has its input. The first one of a fleet has it."""
-HERE = "37"  # of CiA 402: the reference is where the axis stands
+"""The make that has the permit's input. The first controller of this make in a fleet has it."""
+HERE = "37"  # of CiA 402: the reference is the current position of the axis
 
-# Slower than the usual rate, as with many controllers on one computer. Where a permit is, it is looked at more often.
+# Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
 _RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
 _GUARDING = {"idle_hz": 3.0, "moving_hz": 5.0}
-# Homing has not far to go, and the edge of a switch lies between two index pulses.
+# Homing has a short path, and the edge of a switch lies between two index pulses.
 _NEAR = {"axes": 2, "home_edge": {"X": -50, "Y": -30}, "index_every": {"X": 20, "Y": 20}}
 _DRIVE = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 
@@ -63,12 +63,12 @@ def _smc30(number: int, units: int, draw: Random) -> Draft:
 
 
 def _cia402(number: int, units: int, draw: Random) -> Draft:
-    """Drives on one CAN bus, whose reference is where they stand."""
+    """Draft drives on one CAN bus, which take their current position as reference."""
     drafts: Draft = {}
     options = {"state_ms": draw.choice((50, 100, 150)), "inhibit_ms": draw.choice((10, 20, 40))}
     event_ms = draw.choice((10, 20, 40))
     for unit in range(1, units + 1):
-        link = {"kind": "can", "interface": "socketcan", "channel": f"can{number}", "unit": unit}
+        link = {"kind": "can", "interface": "socketcan", "channel": f"can{number}", "address": unit}
         drafts[f"f{number}-{unit}"] = {
             "adapter": "cia402",
             "link": link,
@@ -88,11 +88,11 @@ _DRAFTS: dict[str, Callable[[int, int, Random], Draft]] = {
     "cia402": _cia402,
 }
 _SHARING = {"smc2000": 3, "smc30": 2, "cia402": 2}
-"""How many units of a make stand on one line, at the most."""
+"""Largest number of controllers of a make on one link."""
 
 
 def fleet_of(seed: int, wanted: Sequence[str]) -> Fleet:
-    """A fleet with at least one controller of each make in `wanted`."""
+    """Draw a fleet with at least one controller of each make in `wanted`."""
     draw = Random(f"fleet {seed}")
     controllers: Draft = {}
     todo = list(dict.fromkeys(wanted))
@@ -128,6 +128,6 @@ def _finished(config: dict[str, Any], host: str, draw: Random) -> dict[str, Any]
 
 
 def _soft_limits(axis: dict[str, Any]) -> dict[str, float]:
-    """Room for moves of some seconds, and a little below zero."""
+    """Return a range for moves of some seconds, which begins a little below zero."""
     velocity = axis["limits"]["velocity"]
     return {"min": -0.1 * velocity, "max": 1.6 * velocity}

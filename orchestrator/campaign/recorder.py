@@ -1,4 +1,5 @@
-"""What coordinators ask adapters and hear from them: how far a step really is, and who has promised what."""
+"""A recorder of the requests of coordinators to adapters, and of the replies: it shows the stage of a step, and each
+promise."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -17,9 +18,10 @@ _SEEN = ("lease", "home", "propose", "arm", "commit", "go")
 
 @dataclass(slots=True)
 class Asked:
-    """One request to an adapter, about a lease or a step. Instants in host ns; answered_ns: None without an answer.
+    """One request to an adapter, about a lease or a step. Instants in host ns; answered_ns: None without a reply.
 
-    said: what was asked, without profiles. taken: whether the adapter has agreed.
+    said: the fields of the request, without profiles.
+    taken: whether the adapter accepted.
     """
 
     verb: str
@@ -32,23 +34,24 @@ class Asked:
 
     @property
     def job(self) -> str:
-        """For whom it is asked: a request for homing or a lease names its holder."""
+        """The job of the request; requests for homing or a lease name it as their holder."""
         return self.said["job"] if "job" in self.said else self.said["holder"]
 
     @property
     def step(self) -> tuple[str, int]:
-        """Of a job that homes, that is the first."""
+        """The job and the index of its step; a homing counts as the first one."""
         return self.job, self.said.get("step", 0)
 
     @property
     def promise(self) -> tuple[str, int, int, str, int]:
-        """Job, step, epoch, coordinator and T0: what has to be the same for all members."""
+        """Job, step, epoch, coordinator and T0: these must be equal for all members."""
         said = self.said
         return said["job"], said["step"], said["epoch"], said["coordinator"], said["t0_fleet_ns"]
 
 
 class Witness:
-    """Sees every request of every coordinator of a fleet. `heard` is called as each goes out, and as it is answered."""
+    """Records every request of every coordinator of a fleet. `heard` is called when a request is sent, and when it
+    is answered."""
 
     def __init__(self, clock: Clock, heard: Callable[[Asked], None]) -> None:
         self.asked: list[Asked] = []
@@ -56,15 +59,15 @@ class Witness:
         self._heard = heard
 
     def of(self, verb: str) -> Iterator[Asked]:
-        """All requests of one verb, in their order."""
+        """Return all requests of one verb, in order."""
         return (each for each in self.asked if each.verb == verb)
 
     def beside(self, bus: MemoryBus) -> "WitnessedBus":
-        """`bus`, for a coordinator."""
+        """Wrap the `bus` of a coordinator."""
         return WitnessedBus(bus, self)
 
     def ask(self, key: str, payload: bytes) -> list[Asked]:
-        """A request goes out, to one member or several of a host."""
+        """Record a request to one member, or to several of a host."""
         *_, kind, name, cmd, verb = ["", "", "", *key.split("/")]
         if cmd != "cmd" or verb not in _SEEN:
             return []
@@ -81,7 +84,7 @@ class Witness:
         return asked
 
     def answer(self, key: str, asked: list[Asked], payload: bytes) -> None:
-        """The answer has come, of all who have given one."""
+        """Record the reply, for all members that answered."""
         together = key.split("/")[3] == "host"
         texts = json.loads(payload)["replies"] if together else {each.member: payload for each in asked}
         for each in asked:
@@ -93,7 +96,7 @@ class Witness:
 
 
 class WitnessedBus:
-    """A coordinator's place on the bus, with somebody who listens."""
+    """The bus of a coordinator, with a recorder."""
 
     def __init__(self, bus: MemoryBus, witness: Witness) -> None:
         self._bus = bus

@@ -1,4 +1,4 @@
-"""Seeds of the fault campaign, one after the other, and how often each cell of stage, fault and make was hit."""
+"""The sequence of campaign seeds, and the counts of injected faults by stage, fault and make."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -15,8 +15,8 @@ CELLS = [Cell(stage, fault, make) for fault in FAULTS for make in MAKES for stag
 
 
 def _round() -> list[Cell]:
-    """Every cell three times; those of a fault that befalls the whole fleet twice, because it counts for all makes that
-    take part in its step. (One is jogged, or looks for its reference, alone.)
+    """List every cell three times, but cells of a fault that affects the whole fleet twice, because it counts for
+    all makes that take part in its step. (Only one member is jogged or homed.)
 
     The first len(STAGES) * len(FAULTS) are all pairs of stage and fault.
     """
@@ -33,21 +33,24 @@ def _round() -> list[Cell]:
 ROUND = _round()
 PAIRS = len(STAGES) * len(FAULTS)
 
-# To prepare a fleet takes as long as an act. With two of them ten thousand seeds aim at each cell 21 times, and some of
-# what is aimed at comes too late.
+# Preparing a fleet takes as long as a phase. With two phases ten thousand seeds target each cell 21 times, and some
+# faults come too late for their target.
 ACTS = 3
 
 
 def cells_of(seed: int) -> list[Cell]:
-    """What breaks in a seed. Seeds walk through all cells, and by and by through all pairs of them."""
+    """Return the faults of a seed. Consecutive seeds step through all cells, and in the long run through all pairs
+    of them."""
     again = seed // len(ROUND)
     return [ROUND[(seed + act * (PAIRS // ACTS + 157 * again)) % len(ROUND)] for act in range(ACTS)]
 
 
 @dataclass(slots=True)
 class Campaign:
-    """What was found. cells: faults by stage, kind and make of those that they befell; controllers, jobs, faults,
-    fleet_s: one entry a seed."""
+    """The results of a campaign.
+
+    cells: number of faults by stage, kind and affected make.
+    controllers, jobs, faults, fleet_s: one entry per seed."""
 
     seeds: int = 0
     violations: dict[int, list[str]] = field(default_factory=dict[int, list[str]])
@@ -60,22 +63,22 @@ class Campaign:
 
     @property
     def missed(self) -> list[Cell]:
-        """Cells that were not hit. Each of them can be: no stage, fault and make exclude each other."""
+        """Cells that were not hit. Each of them is possible: no stage, fault and make exclude each other."""
         return [cell for cell in CELLS if not self.cells[cell]]
 
     @property
     def least(self) -> int:
-        """How often the cell was hit that was hit least."""
+        """The lowest number of hits of any cell."""
         return min(self.cells[cell] for cell in CELLS)
 
 
 def play_seed(seed: int) -> Story:
-    """Play a seed as the campaign does."""
+    """Run a seed as the campaign does."""
     return play(seed, cells_of(seed))
 
 
 def run_campaign(seeds: Iterable[int], told: Callable[[Story], None] = lambda _: None, processes: int = 1) -> Campaign:
-    """Play seeds, as many at a time as there are processes; `told` hears of each, in their order."""
+    """Run seeds in parallel `processes`; `told` receives each run, in the order of the seeds."""
     found = Campaign()
     for story in spread(play_seed, seeds, processes):
         found.seeds += 1

@@ -1,8 +1,9 @@
-"""One seed of the fault campaign: a fleet at work, broken twice, mended, and judged by the simulators' own truth.
+"""One seed of the fault campaign: a fleet at work, with faults that are injected and repaired, checked against the
+simulators' ground truth.
 
-A seed prepares a fleet and then plays acts. In each, jobs are submitted that stand beside and behind each other, now
-and then somebody jogs an axis by hand, and one thing breaks at a stage of a step. A person mends it, and what is left
-of the jobs comes to its end. What really moved is held against the invariants of the design (section 7).
+A seed prepares a fleet and then runs phases. In each phase, jobs are submitted that run in parallel or one after the
+other, sometimes an axis is jogged manually, and one fault is injected at a stage of a step. It is repaired, and the
+remaining jobs run to their end. The true motions are checked against the invariants of the design (section 7).
 """
 
 import asyncio
@@ -19,43 +20,45 @@ from orchestrator.campaign.fleets import WITH_PERMIT, fleet_of
 from orchestrator.campaign.invariants import Act, Jog, Judge
 from orchestrator.campaign.jobs import MOST_S, PACE, orders_of, preparation, trial
 from orchestrator.campaign.recorder import STAGES, Asked, Stage, Witness
-from orchestrator.client.api import Refused, Tutti
+from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import ENDED
+from orchestrator.model.report import FINISHED_STATES
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
 
-SETTLE_NS = 2 * NS_PER_S  # from what breaks to who mends it: everybody has noticed by then
-REACH_NS = 20 * NS_PER_S  # for the stage to come
-TRY_S = 10.0  # for a job that is to be refused
-READY_S = 25.0  # for a fleet to come to itself after what was broken is mended
-END_NS = 50 * NS_PER_S  # for the rest of the jobs to end
+SETTLE_NS = 2 * NS_PER_S  # from the fault to its repair: by then it is detected everywhere
+REACH_NS = 20 * NS_PER_S  # for the stage to be reached
+TRY_S = 10.0  # for a job that must be refused
+READY_S = 25.0  # for a fleet to become ready after the repair
+END_NS = 50 * NS_PER_S  # for the remaining jobs to end
 LOOK_NS = 200 * NS_PER_MS
-RESTS = 150  # looks at who rests, 7 ms apart
-_VOUCHED_NS = 250 * NS_PER_MS  # a pp-electronic SMC that has its reference installed compares itself, and does not move
-HOMES_SHARE = 0.4  # of what homing is expected to take: within it nearly all of them still look
-HANDS = 0.3  # chance of somebody who jogs meanwhile
+RESTS = 150  # polls for controllers at rest, 7 ms apart
+# a pp-electronic SMC with an installed reference verifies its position, and does not move
+_VOUCHED_NS = 250 * NS_PER_MS
+HOMES_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
+HANDS = 0.3  # chance of a jog during the phase
 RENEWED_NS = 60 * NS_PER_MS
-RENEWALS = 8  # of a jog, and of one that is to be broken
+RENEWALS = 8  # of a jog, and of one that a fault shall interrupt
 RENEWALS_OF_STAGE = 32
-_JOG_NS = 600 * NS_PER_MS  # from its beginning to what breaks it, at the most
+_JOG_NS = 600 * NS_PER_MS  # from the begin of a jog to its fault, at most
 
-ALONE: tuple[Stage, ...] = ("jog", "home")  # what befalls the fleet befalls one member of it in what it does by itself
+ALONE: tuple[Stage, ...] = ("jog", "home")  # a fault of the fleet affects only one member in these stages
 
-# When, after its first request to the member, a stage is to be broken: earliest and latest.
+# Time from the stage's first request to the member to the fault: earliest and latest.
 _WITHIN: dict[str, tuple[int, int]] = {
     "propose": (0, 500 * NS_PER_US),
     "commit": (0, NS_PER_MS),
     "go": (0, 500 * NS_PER_US),
 }
-_FIRE_NS = 60 * NS_PER_MS  # about T0
+_FIRE_NS = 60 * NS_PER_MS  # around T0
 _MOTION_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
 class Cell(NamedTuple):
-    """What is to break: at which stage of a step, what, and the make of the member that it befalls."""
+    """A fault to inject: the stage of a step, the fault, and the make of the member that it affects."""
 
     stage: Stage
     fault: str
@@ -64,10 +67,12 @@ class Cell(NamedTuple):
 
 @dataclass(slots=True)
 class Story:
-    """What happened in one seed, which took fleet_s of virtual time.
+    """The events of one seed, which took fleet_s of virtual time.
 
-    hit: what really broke, by the stage that its step had come to; befallen: the same for each make that it befell.
-    events: in short; lines: everything that was logged.
+    hit: injected faults, by the stage that their step had reached.
+    befallen: the same for each affected make.
+    events: a summary.
+    lines: the complete log.
     """
 
     seed: int
@@ -82,13 +87,13 @@ class Story:
     fleet_s: float = 0.0
 
     def tell(self) -> str:
-        """The story, shortened, with what it violates."""
+        """Return a summary of the run with its violations."""
         controllers = ", ".join(f"{name} ({config.adapter})" for name, config in self.fleet.controllers.items())
         return "\n".join([f"seed {self.seed}: {controllers}", *self.events, *self.violations])
 
 
 def play(seed: int, cells: Sequence[Cell]) -> Story:
-    """Play one seed: an act for each of `cells`. It plays the same every time."""
+    """Run one seed: a phase for each of `cells`. The run is deterministic."""
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(WITH_PERMIT)
@@ -106,8 +111,8 @@ def play(seed: int, cells: Sequence[Cell]) -> Story:
     try:
         run_virtual(main)
     except Exception as error:
-        # One of thousands must not take with it what the others have found.
-        story.violations.append(f"it can not be played to its end: {error!r}")
+        # An error in one of thousands of seeds must not discard the results of the others.
+        story.violations.append(f"the seed did not run to its end: {error!r}")
     return story
 
 
@@ -128,7 +133,7 @@ class _Play:
         self._breaker = Breaker(self.virtual, clock, self._draw)
 
     async def run(self) -> None:
-        """Prepare, and play one act after the other."""
+        """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
         client = self.virtual.client()
         await self.virtual.client("watcher").bus.subscribe(self.virtual.keys.state(), self._hear_state)
@@ -152,18 +157,18 @@ class _Play:
 
     async def _prepared(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
         self._story.jobs += 1
-        report = await client.wait(await client.submit(preparation(axes, homing)))
+        report = await client.wait_for_job(await client.submit(preparation(axes, homing)))
         if report.state != "done":
             self.judge.violate("3", f"the preparation of {axes} is {report.state}: {report.reason}")
         self.judge.judge_places(await client.status(1.0))
         return report.state == "done"
 
-    # An act
+    # A phase
 
     async def _play(self, client: Tutti, cell: Cell) -> None:
         fleet, fault = self._story.fleet, FAULTS[cell.fault]
         member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
-        before = {name: len(unit.motions) for name, unit in self.virtual.controllers.items()}
+        before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
         act = Act(fault, member, self._breaker.touched(fault, member), before)
         reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
         self._target = act, cell, reached
@@ -190,13 +195,17 @@ class _Play:
         await self._again_the_same(client, act, keys)
         await self._see_who_rests(act)
         for job_id, order in act.jobs.items():
-            row = self.virtual.journal.row(job_id)
-            self._tell(f"{order.job.name} is {row.state}: {row.reason}" if row else f"{order.job.name} is forgotten")
+            row = self.virtual.journal.load_record(job_id)
+            self._tell(
+                f"{order.job.name} is {row.state}: {row.reason}"
+                if row
+                else f"{order.job.name} is missing from the journal"
+            )
         self.judge.judge(act)
         self.judge.judge_places(await client.status(1.0))
 
     def _where(self) -> dict[str, float]:
-        """Where each axis stands, in its unit."""
+        """Return the position of each axis, in its unit."""
         return {
             f"{name}.{axis}": each.to_unit(self.virtual.controllers[name].position(each.motors[0]))
             for name, config in self._story.fleet.controllers.items()
@@ -204,7 +213,7 @@ class _Play:
         }
 
     async def _wait_for(self, reached: "asyncio.Future[tuple[str, int]]", act: Act) -> tuple[str, int] | None:
-        """Until the step is where it is to be broken; None when all jobs end before that."""
+        """Wait until the step reaches the stage of the fault; return None when all jobs end before that."""
         until_ns = self._clock.now_ns() + REACH_NS
         while not reached.done() and self._clock.now_ns() < until_ns and not self._ended(act):
             with suppress(TimeoutError):
@@ -235,38 +244,38 @@ class _Play:
         self._tell("mended")
 
     async def _try(self, act: Act) -> None:
-        """Have somebody home and move a member whose host has another fleet file than the coordinator."""
+        """Submit a job that homes and moves a member whose host has another fleet file than the coordinator."""
         person = self.virtual.client("ben")
         order = trial(self._story.fleet, act.member)
         job_id = await person.submit(order.job, terms=order.terms)
         act.jobs[job_id] = order
-        self._tell(f"try of {act.member}")
+        self._tell(f"job submitted for {act.member} with another fleet file")
         with suppress(TimeoutError):
             async with asyncio.timeout(TRY_S):
-                await person.wait(job_id)
+                await person.wait_for_job(job_id)
         await person.close()
 
     async def _ends(self, client: Tutti, act: Act) -> None:
-        """Everything comes to itself, then to its end."""
+        """Wait until the fleet is ready, then until all jobs end."""
         await self._ready(client)
-        with suppress(Refused):
-            await client.release()
+        with suppress(Refusal):
+            await client.release_jobs()
         until_ns = self._clock.now_ns() + END_NS
         while not self._ended(act) and self._clock.now_ns() < until_ns:
             await sleep_ns(self._clock, LOOK_NS)
         await sleep_ns(self._clock, NS_PER_S)
 
     def _ended(self, act: Act) -> bool:
-        rows = [self.virtual.journal.row(job_id) for job_id in act.jobs]
-        return all(row is None or row.state in ENDED for row in rows)
+        rows = [self.virtual.journal.load_record(job_id) for job_id in act.jobs]
+        return all(row is None or row.state in FINISHED_STATES for row in rows)
 
     async def _ready(self, client: Tutti) -> None:
-        """Until all controllers are adopted in the present reign and without a fault; what is latched is reset."""
+        """Wait until all controllers are adopted by the current leader and without a fault; reset latched e-stops."""
         fleet = self._story.fleet
         states: dict[str, ControllerState] = {}
         for _ in range(round(READY_S / 0.5)):
             states = await client.status(1.0)
-            reigning = self.virtual.coordinators[self._breaker.reigning][1].throne.epoch
+            reigning = self.virtual.coordinators[self._breaker.reigning][1].leadership.epoch
             troubled = [
                 name
                 for name in fleet.controllers
@@ -282,11 +291,11 @@ class _Play:
         shown = {
             name: (state.mode, state.epoch, [each.text for each in state.faults]) for name, state in states.items()
         }
-        self.judge.violate("3", f"mended, and not ready after {READY_S} s: {shown}")
+        self.judge.violate("3", f"not ready {READY_S} s after the repair: {shown}")
 
     async def _repaired(self, client: Tutti) -> bool:
-        """Enable and home what the fault has left off, or without its place."""
-        # What was broken may have been noticed only after it was mended.
+        """Enable and home the axes that the fault has left disabled or unreferenced."""
+        # The fault may have been detected only after its repair.
         await self._ready(client)
         states = await client.status()
         axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
@@ -298,7 +307,8 @@ class _Play:
         return await self._prepared(client, sorted({*off, *lost}), lost)
 
     async def _see_who_rests(self, act: Act) -> None:
-        """A controller that decodes a poll at this very moment is not at rest for a while: look more than once."""
+        """Record the controllers at rest. A controller that decodes a poll at this moment is not at rest for a
+        while: check repeatedly."""
         for _ in range(RESTS):
             act.resting |= {name for name, each in self.virtual.controllers.items() if each.at_rest()}
             if len(act.resting) == len(self.virtual.controllers):
@@ -306,18 +316,18 @@ class _Play:
             await sleep_ns(self._clock, 7 * NS_PER_MS)
 
     async def _again_the_same(self, client: Tutti, act: Act, keys: dict[str, str]) -> None:
-        """Invariant 6: who asks again, because an answer was lost, gets the same job."""
+        """Check invariant 6: a client that repeats a request after a lost reply gets the same job."""
         job_id, order = next(iter(act.jobs.items()))
         try:
             again = await client.submit(order.job, keys[order.job.name], order.terms)
-        except Refused as error:
-            self.judge.violate("9", f"a coordinator that can not take jobs answers for one: {error.refusal.text}")
+        except Refusal as error:
+            self.judge.violate("9", f"a coordinator that cannot accept jobs answers for one: {error.text}")
             return
         if again != job_id:
             self.judge.violate("6", f"job {order.job.name} was accepted twice: {job_id} and {again}")
 
     async def _jog_free(self, act: Act) -> None:
-        """Jog an axis that no job needs for a while."""
+        """Jog an axis that no job uses for a while."""
         busy = {name for order in act.jobs.values() for name in order.controllers}
         free = [name for name in self._story.fleet.controllers if name not in busy] or [act.member]
         await self._jog(act, self._draw.choice(free), RENEWALS)
@@ -325,13 +335,13 @@ class _Play:
     async def _jog(
         self, act: Act, name: str, renewals: int, reached: "asyncio.Future[tuple[str, int]] | None" = None
     ) -> None:
-        """Jog an axis, and forget to say that it is enough. reached: when it is to be broken."""
+        """Jog an axis, and end without a stop command. reached: the future that triggers the fault."""
         axis_name, axis = next(iter(self._story.fleet.controllers[name].axes.items()))
         label = f"{name}.{axis_name}"
         way = -1 if self._where()[label] > axis.limits.velocity * PACE * MOST_S / 2 else 1
         person = self.virtual.client("hand")
-        with suppress(Refused):
-            async with person.by_hand([label]) as hand:
+        with suppress(Refusal):
+            async with person.manual_control([label]) as hand:
                 begun_ns = self._clock.now_ns()
                 act.jogs.append(Jog(name, axis.motors[0], begun_ns, begun_ns))
                 await hand.jog({label: way * axis.limits.velocity * PACE / 2})
@@ -339,11 +349,11 @@ class _Play:
                     self._jogging = True
                     at_ns = self._clock.now_ns() + self._draw.randrange(_JOG_NS)
                     self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), context=Context())
-                with suppress(Refused):
+                with suppress(Refusal):
                     for _ in range(renewals):
                         await sleep_ns(self._clock, RENEWED_NS)
                         act.jogs[-1] = replace(act.jogs[-1], renewed_ns=self._clock.now_ns())
-                        await hand.renew()
+                        await hand.renew_jog()
                     await sleep_ns(self._clock, NS_PER_S)
                 self._jogging = False
         await person.close()
@@ -351,7 +361,7 @@ class _Play:
     # Stages
 
     def _heard(self, asked: Asked) -> None:
-        """A request to a member goes out, or is answered. Runs in the coordinator's process."""
+        """Note that a request to a member was sent or answered. Runs in the coordinator's process."""
         if asked.verb == "lease":
             return
         at = self._reached.setdefault((asked.step, asked.member), {})
@@ -376,7 +386,7 @@ class _Play:
             )
 
     def _strikes_at(self, stage: Stage, asked: Asked, now_ns: int) -> int | None:
-        """When to break it, as soon as that can be told."""
+        """Return the instant of the fault as soon as it is determined."""
         going_out = asked.answered_ns is None
         if stage == "home" and asked.verb == "home" and going_out:
             return now_ns + self._draw.randrange(self._homes_in_ns(asked.member) + 1)
@@ -394,7 +404,8 @@ class _Play:
         return None
 
     def _homes_in_ns(self, member: str) -> int:
-        """What homing takes at the least: a part of its shortest one so far, and of its way from where it stands."""
+        """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the
+        current position."""
         config = self._story.fleet.controllers[member]
         if config.adapter == "ppsmc":
             return _VOUCHED_NS
@@ -409,16 +420,17 @@ class _Play:
         return round(HOMES_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
 
     def _arms_in_ns(self, member: str) -> int:
-        """What its last arming took; before that a tenth of what it says that it takes at the most."""
+        """Return the duration of the member's last arming; before the first one, a tenth of the limit that it
+        declared."""
         taken = {each.verb: each.reply for each in self.witness.asked if each.member == member and each.taken}
         if "arm" in taken:
             return taken["arm"]["took_ns"]
         return (taken["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
     def _stage_of(self, step: tuple[str, int], member: str) -> Stage | None:
-        """How far `member` has come in the step; None when its job has ended."""
-        row = self.virtual.journal.row(step[0])
-        if row is None or row.state in ENDED:
+        """Return the stage that `member` has reached in the step; None when its job has ended."""
+        row = self.virtual.journal.load_record(step[0])
+        if row is None or row.state in FINISHED_STATES:
             return None
         at = self._reached[step, member]
         if "home" in at:
@@ -428,13 +440,15 @@ class _Play:
         return next(stage for stage in reversed(STAGES) if stage in at)
 
     def _host_ns(self, asked: Asked) -> int:
-        origin_ns = next(c.throne.scale.origin_host_ns for _, c in self.virtual.coordinators.values() if c.throne.epoch)
+        origin_ns = next(
+            c.leadership.scale.origin_host_ns for _, c in self.virtual.coordinators.values() if c.leadership.epoch
+        )
         return asked.said["t0_fleet_ns"] + origin_ns
 
-    # What can be told at once
+    # Checks during a run
 
     def _hear_state(self, sample: Sample) -> None:
-        """Invariant 9: no adapter goes back to an older epoch."""
+        """Check invariant 9: no adapter goes back to an older epoch."""
         _, _, rest = sample.payload.partition(b'"epoch":')
         epoch = int(rest[: rest.index(b",")])
         if epoch < self._epochs.get(sample.key, 0):
@@ -442,7 +456,7 @@ class _Play:
         self._epochs[sample.key] = epoch
 
     async def _judge_latches(self, fault: str) -> None:
-        """Invariant 4: an e-stop is latched by every adapter that can be reached, without a coordinator."""
+        """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
         if fault != "estop":
             return
         person = self.virtual.client("looker")
@@ -452,10 +466,11 @@ class _Play:
         await person.close()
 
     def _judge_reigns(self) -> None:
-        """Invariant 9: the reigns have different epochs, and an overtaken coordinator knows that it is."""
-        epochs = [each.throne.epoch for _, each in self.virtual.coordinators.values() if each.throne.epoch]
+        """Check invariant 9: the leaders have different epochs, and an overtaken coordinator has detected its loss
+        of leadership."""
+        epochs = [each.leadership.epoch for _, each in self.virtual.coordinators.values() if each.leadership.epoch]
         if len(set(epochs)) != len(epochs):
-            self.judge.violate("9", f"two reigns with one epoch: {epochs}")
+            self.judge.violate("9", f"two leaders with one epoch: {epochs}")
         for name in self._breaker.overtaken:
-            if not self.virtual.coordinators[name][1].throne.over:
-                self.judge.violate("9", f"coordinator {name} was overtaken and believes that it reigns")
+            if not self.virtual.coordinators[name][1].leadership.over:
+                self.judge.violate("9", f"coordinator {name} was overtaken but still acts as leader")

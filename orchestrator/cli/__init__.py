@@ -1,1 +1,1 @@
-"""The `tutti` command. It composes all others and is imported by none."""
+"""The `tutti` command. It composes all other packages; none of them imports it."""

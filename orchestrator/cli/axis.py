@@ -1,10 +1,10 @@
-"""`tutti axis …`: axes by hand. What moves is a job of one step, leased, checked and recorded; or it is jogged."""
+"""`tutti axis …`: manual operation of axes. A motion is a job of one step, leased, checked and recorded; or a jog."""
 
 from typing import Any
 
 import click
 
-from orchestrator.cli.axis_take import release, take
+from orchestrator.cli.axis_take import acquire, release
 from orchestrator.cli.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.fleet import stop
 from orchestrator.cli.jog.command import jog
@@ -15,17 +15,17 @@ _AXES = click.argument("axes", nargs=-1, required=True)
 
 @click.group(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
 def axis() -> None:
-    """Look at axes, switch and home them, and move them by hand."""
+    """List, enable, home, jog and move axes manually."""
 
 
 @axis.command("ls", epilog="Example: tutti axis ls --json")
 @fleet_options
 @json_option
 def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
-    """List all axes: where they are, and what keeps them from moving.
+    """List all axes: their positions, and the reasons why they are not ready.
 
-    position is what jobs speak of; motor is the same without the offset of `set-position`, which soft limits refer to;
-    counts are the controller's own.
+    position is in the coordinates of jobs; motor is the same without the offset of `set-position`, which soft limits
+    refer to; counts are the controller's own.
     """
     from orchestrator.client import Tutti
     from orchestrator.monitor.fleet_view import axis_words
@@ -54,7 +54,7 @@ def list_axes(connect: str, fleet: str | None, as_json: bool) -> None:
 @fleet_options
 @json_option
 def limits(axes: tuple[str, ...], connect: str, fleet: str | None, as_json: bool) -> None:
-    """Show soft limits and largest velocity, acceleration and jerk of AXES, as their adapters hold them."""
+    """Show soft limits and largest velocity, acceleration and jerk of AXES, as their adapters report them."""
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
@@ -94,20 +94,20 @@ def disable(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 @click.argument("axes", nargs=-1)
 @fleet_options
 def home(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
-    """Find the reference of AXES, one after the other; without AXES, of the fleet in its home_order."""
+    """Home AXES, one after the other; without AXES, the whole fleet in its home_order."""
     run_step(connect, fleet, {"do": "home", **({"axes": list(axes)} if axes else {})}, "homed")
 
 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
 @click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...")
-@click.option("--relative", is_flag=True, help="VALUE is a distance, not a place.")
+@click.option("--relative", is_flag=True, help="VALUE is a distance, not a position.")
 @click.option(
     "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
 )
-@click.option("--line", is_flag=True, help="Along a straight line.")
+@click.option("--line", is_flag=True, help="Along a straight path.")
 @fleet_options
 def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, connect: str, fleet: str | None) -> None:
-    """Move axes together to, or with --relative by, VALUE in the axis's unit or a unit of its own."""
+    """Move axes together to VALUE (with --relative: by VALUE), in the axis's unit or a given unit."""
     wanted = _targets(targets, "TARGETS")
     step = {"do": "move", "by" if relative else "to": wanted, "speed": speed, "sync": "phase" if line else "time"}
     run_step(connect, fleet, step, "there")
@@ -115,27 +115,28 @@ def move(targets: tuple[str, ...], relative: bool, speed: float, line: bool, con
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')
 @click.argument("positions", nargs=-1, required=True, metavar="AXIS[=VALUE]...")
-@click.option("--clear", is_flag=True, help="Take the offsets of the AXES away: user positions are motor positions.")
+@click.option("--clear", is_flag=True, help="Clear the offsets of the AXES: user positions become motor positions.")
 @fleet_options
 def set_position(positions: tuple[str, ...], clear: bool, connect: str, fleet: str | None) -> None:
-    """Call the place where AXIS stands VALUE, from now on and for everybody. Nothing moves.
+    """Set the current position of AXIS to VALUE. Nothing moves.
 
-    This sets the user offset of the axis. Soft limits, which are motor positions, do not shift with it.
+    This sets the user offset of the axis, for all users. Soft limits, which are motor positions, do not shift with
+    it.
     """
     axes: dict[str, str | float | None] = {}
     axes |= dict.fromkeys(positions) if clear else _targets(positions, "POSITIONS")
     run_step(connect, fleet, {"do": "set-position", "axes": axes}, "set")
 
 
-# What is moved by hand is stopped like anything else: one stop for all.
+# Manual motions are stopped like all others: one stop for all.
 axis.add_command(stop)
 axis.add_command(jog)
-axis.add_command(take)
+axis.add_command(acquire)
 axis.add_command(release)
 
 
 def _targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
-    """Values by axis, from AXIS=VALUE."""
+    """Parse AXIS=VALUE arguments into values by axis."""
     wanted: dict[str, str | float] = {}
     for target in targets:
         name, equals, value = target.partition("=")

@@ -1,4 +1,4 @@
-"""`tutti axis take` and `release`: axes kept from jobs and other people while somebody works at them."""
+"""`tutti axis acquire` and `release`: axes reserved for manual work, so that jobs and other users cannot use them."""
 
 import asyncio
 import signal
@@ -13,34 +13,35 @@ if TYPE_CHECKING:
     from orchestrator.client import Tutti
 
 
-@click.command(epilog='Example: tutti axis take gantry stage.u --for 2h --what "new belt"')
+@click.command(epilog='Example: tutti axis acquire gantry stage.u --for 2h --what "new belt"')
 @click.argument("axes", nargs=-1, required=True)
-@click.option("--for", "seconds", default=None, type=Span(), help="Until then, or `release`; at most 24h.")
-@click.option("--what", default="manual work", show_default=True, help="Shown to those who wait.")
+@click.option("--for", "seconds", default=None, type=Span(), help="Duration, at most 24h; or until `release`.")
+@click.option("--what", default="manual work", show_default=True, help="Reason, shown to users who wait.")
 @fleet_options
 @json_option
-def take(
+def acquire(
     axes: tuple[str, ...], seconds: float | None, what: str, connect: str, fleet: str | None, as_json: bool
 ) -> None:
-    """Take AXES (axes, groups or controllers) for work by hand: jobs that need them wait, other people are refused.
+    """Acquire AXES (axes, groups or controllers) for manual work: jobs that need them wait, other users are refused.
 
-    With --for the axes stay taken when this command has ended, also when a permit is lost or the coordinator starts
-    anew; without it, until Ctrl-C. Nothing here keeps power from a motor: to reach into a machine, lock it out.
+    With --for the axes stay acquired after this command ends, also when a permit is lost or the coordinator
+    restarts; without it, until Ctrl-C. This does not disconnect any motor from power: to reach into a machine, lock
+    it out.
     """
 
     async def act(tutti: "Tutti") -> None:
         if seconds is not None:
-            taken, holder = await tutti.reserve(list(axes), seconds, what)
+            acquired, holder = await tutti.reserve_axes(list(axes), seconds, what)
             if as_json:
-                print_json({"holder": holder, "axes": taken})
+                print_json({"holder": holder, "axes": acquired})
             else:
-                console.print(f"taken: {', '.join(taken)}; give them back with `tutti axis release`", highlight=False)
+                console.print(f"acquired: {', '.join(acquired)}; release them with `tutti axis release`", highlight=False)
             return
-        async with tutti.by_hand(list(axes), what=what) as hand:
+        async with tutti.manual_control(list(axes), what=what) as control:
             if as_json:
-                print_json({"holder": hand.holder, "axes": hand.axes})
+                print_json({"holder": control.holder, "axes": control.axes})
             else:
-                console.print(f"taken: {', '.join(hand.axes)}; Ctrl-C gives them back", highlight=False)
+                console.print(f"acquired: {', '.join(control.axes)}; Ctrl-C releases them", highlight=False)
             ended = asyncio.Event()
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 asyncio.get_running_loop().add_signal_handler(number, ended.set)
@@ -49,38 +50,40 @@ def take(
                     async with asyncio.timeout(0.5):
                         await ended.wait()
                 except TimeoutError:
-                    if hand.lost is not None:
-                        fail(f"the axes are not yours any more: {hand.lost.text}", remedy=hand.lost.remedy)
-        console.print("given back", highlight=False)
+                    if control.lost is not None:
+                        fail(f"the axes are no longer acquired: {control.lost.text}", remedy=control.lost.remedy)
+        console.print("released", highlight=False)
 
     with_fleet(connect, fleet, act)
 
 
 @click.command(epilog="Example: tutti axis release gantry")
 @click.argument("axes", nargs=-1)
-@click.option("--force", is_flag=True, help="Also what somebody else has taken: ask them first.")
+@click.option("--force", is_flag=True, help="Also axes that another user acquired: agree with that user first.")
 @fleet_options
 @json_option
 def release(axes: tuple[str, ...], force: bool, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Give back AXES (axes or controllers; without: all) that you have taken, with all that was taken with them."""
+    """Release AXES (axes or controllers; without: all) that you acquired, with all that were acquired together with
+    them."""
 
     async def act(tutti: "Tutti") -> None:
         wanted = {name.partition(".")[0] for name in axes}
-        hands = [lease for lease in await tutti.leases() if (lease.holder or "").startswith("hand-")]
-        found = [lease for lease in hands if not wanted or lease.controller in wanted]
+        manual = [lease for lease in await tutti.list_leases() if (lease.holder or "").startswith("manual-")]
+        found = [lease for lease in manual if not wanted or lease.controller in wanted]
         others = [lease for lease in found if lease.actor != actor()]
         if others and wanted and not force:
             first = others[0]
             fail(
-                f"{first.controller} is taken by {first.actor} ({first.what})", remedy="ask them, and then say --force"
+                f"{first.controller} is acquired by {first.actor} ({first.what})",
+                remedy="agree with that user, then repeat with --force",
             )
         holders = {lease.holder: lease for lease in found if force or lease.actor == actor()}
         for holder in holders:
             assert holder is not None
-            await tutti.give_back(holder)
+            await tutti.release_axes(holder)
         if as_json:
             print_json({"released": [lease.controller for lease in found if lease.holder in holders]})
         else:
-            console.print(f"{len(holders)} given back" if holders else "nothing is taken", highlight=False)
+            console.print(f"{len(holders)} released" if holders else "no axis is acquired", highlight=False)
 
     with_fleet(connect, fleet, act)

@@ -17,16 +17,16 @@ T = TypeVar("T")
 
 @click.group(epilog="Example: tutti bench plan --json")
 def bench() -> None:
-    """Measure Tutti; every figure stands next to its baseline of the same run."""
+    """Measure Tutti; every figure stands next to its baseline from the same run."""
 
 
 @bench.command(epilog="Example: tutti bench plan --rounds 1000")
 @json_option
 @click.option("--rounds", default=300, show_default=True, type=click.IntRange(10, 100_000), help="Plans of each size.")
 def plan(as_json: bool, rounds: int) -> None:
-    """Time planning of steps of 1 to 1,024 axes against the bare Ruckig call.
+    """Time the planning of steps of 1 to 1,024 axes against the bare Ruckig call.
 
-    Jerk-limited axes count; trapezoids, where Ruckig has less to do, are shown beside them.
+    Jerk-limited axes count; trapezoids, where Ruckig has less to do, are shown for comparison.
     """
     from rich.table import Table
 
@@ -55,7 +55,7 @@ def plan(as_json: bool, rounds: int) -> None:
 @json_option
 @click.option("--hours", default=1.0, show_default=True, type=click.FloatRange(0.01, 24), help="Of fleet time.")
 def virtual(as_json: bool, hours: float) -> None:
-    """Run the demo fleet, moving all the time, in virtual time, and say how much faster than real time it was."""
+    """Run the demo fleet in constant motion, in virtual time, and report its speed relative to real time."""
     from orchestrator.bench.virtual import bench_virtual
     from orchestrator.cli.demo import EXAMPLES
     from orchestrator.model.files import load_fleet
@@ -65,8 +65,8 @@ def virtual(as_json: bool, hours: float) -> None:
         print_json(run._asdict())
     else:
         console.print(
-            f"{run.fleet_s:.0f} s of fleet time with {run.moves} synchronised moves in {run.cpu_s:.1f} s of processor "
-            f"time: {run.speedup:.0f} times faster than real time",
+            f"{run.fleet_s:.0f} s of fleet time with {run.moves} synchronised moves in {run.cpu_s:.1f} s "
+            f"of processor time: {run.speedup:.0f} times faster than real time",
             highlight=False,
         )
 
@@ -75,9 +75,9 @@ def virtual(as_json: bool, hours: float) -> None:
 @json_option
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(1, 3600), help="Of virtual time.")
 def poll(as_json: bool, seconds: float) -> None:
-    """Poll SMC-2000 at 19,200 baud as often as they answer, against what the characters on the wire allow.
+    """Poll SMC-2000 at 19,200 baud as often as they reply, against the limit of the serial line.
 
-    Alone and three on a daisy chain, with and without a USB adapter that keeps received bytes for up to 16 ms.
+    One alone and three on a daisy chain, with and without a USB adapter that delays received bytes by up to 16 ms.
     """
     from rich.table import Table
 
@@ -88,7 +88,7 @@ def poll(as_json: bool, seconds: float) -> None:
         print_json({"rows": [row._asdict() for row in rows], "seconds": seconds})
         return
     table = Table(title="SMC-2000 of two axes, virtual time", title_justify="left", header_style="bold")
-    for name in ("units", "adapter holds, ms", "asked at once", "polls/s", "the wire allows", "share, %"):
+    for name in ("units", "adapter delay, ms", "polled at once", "polls/s", "serial line limit", "share, %"):
         table.add_column(name, justify="right")
     for row in rows:
         shown = (row.units, row.hold_ms, row.at_once, row.polls_s, row.wire_polls_s, row.share)
@@ -98,11 +98,14 @@ def poll(as_json: bool, seconds: float) -> None:
 
 @bench.command(epilog="Example: tutti bench bus --json")
 @json_option
-@click.option("--rounds", default=300, show_default=True, type=click.IntRange(10, 100_000), help="Starts each way.")
+@click.option(
+    "--rounds", default=300, show_default=True, type=click.IntRange(10, 100_000), help="Starts of each method."
+)
 def bus(as_json: bool, rounds: int) -> None:
-    """Start seven SMC30 on one bus at 9,600 baud together, and say how far apart they begin, in virtual time.
+    """Start seven SMC30 on one bus at 9,600 baud together, and measure the spread of their starts, in virtual time.
 
-    By E to one after another, by the adapter's slots with the waiting in the programs, and by a wired line.
+    By E commands one after another, by the adapter's time slots with the delay in the programs, and by a trigger
+    line.
     """
     from orchestrator.bench.smc30_bus import bench_smc30_bus
     from orchestrator.monitor.tables import plain_table
@@ -124,13 +127,13 @@ def bus(as_json: bool, rounds: int) -> None:
 
 @bench.command(epilog="Example: tutti bench can --json")
 @json_option
-@click.option("--rounds", default=40, show_default=True, type=click.IntRange(10, 100_000), help="Moves each way.")
+@click.option("--rounds", default=40, show_default=True, type=click.IntRange(10, 100_000), help="Moves of each method.")
 @click.option("--hours", default=0.05, show_default=True, type=click.FloatRange(0.001, 24), help="Of fleet time.")
 def can(as_json: bool, rounds: int, hours: float) -> None:
     """Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, arm them, and stream positions to them.
 
-    In virtual time, by the simulators' truth; in one step with SMC-4000 by a whole coordinator. Positions are streamed
-    for `--hours` at last: an hour takes half an hour, the rest some three minutes.
+    In virtual time, by the simulators' ground truth; in one step with an SMC-4000 by a complete coordinator. The
+    last part streams positions for `--hours`: an hour takes half an hour, the rest some three minutes.
     """
     from orchestrator.bench.can import bench_can
     from orchestrator.bench.can_mixed import bench_mixed
@@ -153,11 +156,12 @@ def can(as_json: bool, rounds: int, hours: float) -> None:
 @json_option
 @click.option("--controllers", default=64, show_default=True, type=click.IntRange(1, 512), help="Of four axes each.")
 @click.option("--seconds", default=10.0, show_default=True, type=click.FloatRange(1, 200), help="Of fleet time, each.")
-@click.option("--step", is_flag=True, help="Also in a step of a job; homing all axes before takes long.")
+@click.option("--step", is_flag=True, help="Also in a step of a job; homing all axes first takes long.")
 def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
-    """Time simulated SMC-4000, read by their adapters at 10 Hz, in virtual time, and say where the time goes.
+    """Time simulated SMC-4000, polled by their adapters at 10 Hz, in virtual time, and report where the time is
+    spent.
 
-    Idle, and with all axes moving, told so by another host.
+    Idle, and with all axes moving on commands of another host.
     """
     from rich.table import Table
 
@@ -171,7 +175,7 @@ def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
         shown = {name.removeprefix("in a "): window._asdict() for name, window in windows.items()}
         print_json(figures._asdict() | shown)
         return
-    title = f"{figures.controllers} simulated SMC-4000, {figures.axes} axes, read at {figures.poll_hz:g} Hz"
+    title = f"{figures.controllers} simulated SMC-4000, {figures.axes} axes, polled at {figures.poll_hz:g} Hz"
     table = Table(title=title, title_justify="left", header_style="bold")
     table.add_column("")
     for name in ("times real time", "controller-seconds a CPU second"):
@@ -188,17 +192,18 @@ def sim(as_json: bool, controllers: int, seconds: float, step: bool) -> None:
 @click.option("--make", default="smc4000", show_default=True, help="Of the controller.")
 @click.option("--moves", default=10_000, show_default=True, type=click.IntRange(10, 1_000_000), help="Trapezoids.")
 def lowering(as_json: bool, make: str, moves: int) -> None:
-    """Compare what a controller executes with what was planned, by its simulator's truth, in virtual time.
+    """Compare the executed with the planned motion, by the simulator's ground truth, in virtual time.
 
     Jerk-limited moves of four axes over crystals of ±100 ppm: the distance to the plan. Trapezoids: the duration, as
-    planned, as lowered, and of a seeded part of them as executed; those of a cruise below 20,000 counts/s are a tenth
-    as many. Some minutes for the 10,000. An SMC30 is told whole steps/s: its moves are shown by their mean rate.
+    planned, as compiled, and of a seeded part of them as executed; those with a cruise speed below 20,000 counts/s
+    are a tenth as many. Some minutes for the 10,000. An SMC30 accepts only whole steps/s: its moves are compared by
+    their mean rate.
     """
     from orchestrator.bench.lowering import MAKES, bench_lowering
     from orchestrator.monitor.tables import plain_table
 
     if make not in MAKES:
-        raise click.BadParameter(f"{make!r}; known are {', '.join(MAKES)}", param_hint="--make")
+        raise click.BadParameter(f"unknown make {make!r}; choose one of {', '.join(MAKES)}", param_hint="--make")
     found = bench_lowering(make, moves)
     if as_json:
         print_json(
@@ -228,7 +233,8 @@ def lowering(as_json: bool, make: str, moves: int) -> None:
 def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
     """Run chains of prebuffered moves on a simulated SHRC-203 at 38,400 baud, in virtual time.
 
-    How long a move takes with its hand-over, for one axis and for three, and whether a chain ran dry. Some minutes.
+    Measures the duration of a move with its hand-over, for one axis and for three, and whether a chain ran dry. Some
+    minutes.
     """
     from orchestrator.bench.chain import bench_chain
     from orchestrator.monitor.tables import plain_table
@@ -237,7 +243,7 @@ def shrc_chain(as_json: bool, moves: int, seeds: int) -> None:
     if as_json:
         print_json({"rows": [each._asdict() | {"met": each.met} for each in figures]})
         return
-    table = plain_table(["axes>", "chains>", "ms a move>", "asked>", "least ahead, ms>", "underruns>", "met"])
+    table = plain_table(["axes>", "chains>", "ms a move>", "asked>", "least lead, ms>", "underruns>", "met"])
     for each in figures:
         values = (each.axes, each.seeds, each.move_ms, each.asked_ms, each.ahead_ms, each.underruns)
         table.add_row(*map(str, values), "yes" if each.met else "NO")

@@ -1,4 +1,5 @@
-"""`tutti bench clock`, `firing` and `sync`: how well clocks are known, bytes on time, and fleets together."""
+"""`tutti bench clock`, `firing` and `sync`: accuracy of clock estimates, of timed writes, and of synchronised
+starts."""
 
 import re
 import tempfile
@@ -12,12 +13,12 @@ from orchestrator.cli.common import console, fail, json_option, print_json, proc
 @click.command(epilog="Example: tutti bench clock --trials 1000")
 @json_option
 @click.option("--trials", default=200, show_default=True, type=click.IntRange(10, 100_000), help="Crystals a link.")
-@click.option("--seed", default=1, show_default=True, help="Of everything random.")
+@click.option("--seed", default=1, show_default=True, help="Of all random draws.")
 def clock(as_json: bool, trials: int, seed: int) -> None:
-    """Predict controllers' clocks 5 s ahead, from 300 s of readings, over modelled links; in virtual time.
+    """Predict controllers' clocks 5 s ahead, from 300 s of samples, over modelled links; in virtual time.
 
-    Beside the estimate stand its guaranteed bound, how often the truth was outside it, and two estimators without a
-    bound: the smallest round trip at the nominal rate, and least squares.
+    Shown with the estimate: its guaranteed bound, how often the true value was outside it, and two estimators
+    without a bound: the smallest round trip at the nominal rate, and least squares.
     """
     from orchestrator.bench.clock import bench_clock
     from orchestrator.monitor.tables import plain_table
@@ -41,21 +42,23 @@ def _pattern(context: click.Context, parameter: click.Parameter, value: str) -> 
     try:
         re.compile(value)
     except re.error as error:
-        raise click.BadParameter(f"{value!r} is no regular expression: {error}") from None
+        raise click.BadParameter(f"{value!r} is not a regular expression: {error}") from None
     return value
 
 
 @click.command(epilog="Example: tutti bench sync --trials 100 --plot skews.png")
 @json_option
 @click.option("--trials", default=1000, show_default=True, type=click.IntRange(2, 1_000_000), help="Steps of a row.")
-@click.option("--seed", default=1, show_default=True, help="Of everything random.")
+@click.option("--seed", default=1, show_default=True, help="Of all random draws.")
 @click.option(
-    "--only", default="", metavar="PATTERN", callback=_pattern, help="Only rows whose name this finds: '64', 'clock$'."
+    "--only", default="", metavar="PATTERN", callback=_pattern, help="Only rows whose name matches: '64', 'clock$'."
 )
 @click.option(
-    "--history", default=300, show_default=True, type=click.IntRange(5, 3600), help="Seconds of polls before."
+    "--history", default=300, show_default=True, type=click.IntRange(5, 3600), help="Seconds of polls before the start."
 )
-@click.option("--live", type=click.IntRange(2, 10_000), help="So many steps with real sockets and processes instead.")
+@click.option(
+    "--live", type=click.IntRange(2, 10_000), help="Run this many steps with real sockets and processes instead."
+)
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Distributions of the start skews, a PNG."
 )
@@ -63,10 +66,11 @@ def _pattern(context: click.Context, parameter: click.Parameter, value: str) -> 
 def sync(
     as_json: bool, trials: int, seed: int, only: str, history: int, live: int | None, plot: Path | None, processes: int
 ) -> None:
-    """Start simulated fleets together, by the old ways and by Tutti's, and measure how well; in virtual time.
+    """Start simulated fleets together, by baseline methods and by Tutti's, and measure the skew; in virtual time.
 
-    Truth comes from the simulators. `misses` counts verdicts that do not hold it. Rows that are slow to simulate have
-    fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some minutes.
+    The ground truth comes from the simulators. `misses` counts verdicts that do not contain it. Rows that are slow
+    to simulate have fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some
+    minutes.
     """
     if live is not None:
         _live(live, as_json)
@@ -93,10 +97,8 @@ def sync(
         figures = (row.start_p50, row.start_p99, row.start_max, row.bound_p99, row.end_p99, row.path_p99)
         table.add_row(f"{row.fleet}, {row.way}", *map(_figure, figures))
     console.print(table)
-    console.print(
-        "of starts; bound: the p99 that nobody can do better than; end, path: p99 at the end and on the way\n"
-    )
-    table = plain_table(["said of the starts, ms", "budget>", "width>", "asked>", "trials>", "missed>", "late>"])
+    console.print("of starts; bound: the smallest p99 that is possible; end, path: p99 at the end and on the path\n")
+    table = plain_table(["reported start skew, ms", "budget>", "width>", "asked>", "trials>", "missed>", "late>"])
     for row in rows:
         if row.misses is not None:
             figures = (row.budget, row.width, row.width_most)
@@ -105,14 +107,14 @@ def sync(
             )
     console.print(table)
     console.print(
-        "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and what is asked of it; "
-        "missed: verdicts that do not hold the truth; late: a wire kept a line for longer than its adapter counts on, "
-        "and only what the controllers have shown has to hold\n"
+        "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and its "
+        "target; missed: verdicts that do not contain the true skew; late: a link delayed a command for "
+        "longer than its adapter allows, and only the controllers' evidence must hold\n"
     )
     for row in rows:
         if row.asked:
-            kept = "kept" if row.met else "[red]not kept[/]"
-            console.print(f"{row.fleet}, {row.way}: asked {row.asked}: {kept}; worst is {row.worst}")
+            kept = "kept" if row.met else "[red]missed[/]"
+            console.print(f"{row.fleet}, {row.way}: target {row.asked}: {kept}; worst is {row.worst}")
 
 
 def _figure(value: float | None) -> str:
@@ -121,11 +123,11 @@ def _figure(value: float | None) -> str:
 
 @click.command(epilog="Example: tutti bench firing --shots 1000 --json")
 @json_option
-@click.option("--shots", default=500, show_default=True, type=click.IntRange(100, 100_000), help="Bytes, each way.")
+@click.option("--shots", default=500, show_default=True, type=click.IntRange(100, 100_000), help="Writes of each kind.")
 def firing(as_json: bool, shots: int) -> None:
-    """Measure how late the last byte of a start is written, live, on an idle machine and beside a fleet of 16.
+    """Measure the delay of a start command's last byte, live, on an idle machine and with a fleet of 16 running.
 
-    The firing process needs the right to real-time priority; without it, whatever else runs delays it by milliseconds.
+    The firing process needs permission for real-time priority; without it, other processes delay it by milliseconds.
     """
     from orchestrator.bench.firing import CONTROLLERS, bench_firing
     from orchestrator.bench.truth import NothingHappened
@@ -139,8 +141,13 @@ def firing(as_json: bool, shots: int) -> None:
     if as_json:
         print_json({name: each._asdict() for name, each in figures._asdict().items()})
         return
-    table = plain_table(["written late by", "n>", "p50, µs>", "p99, µs>", "max, µs>", "asked", "met"])
-    words = ("firing process, idle", f"…, {CONTROLLERS} read at 10 Hz", "event loop, idle", "…, beside the same")
+    table = plain_table(["write delay of", "n>", "p50, µs>", "p99, µs>", "max, µs>", "asked", "met"])
+    words = (
+        "firing process, idle",
+        f"…, {CONTROLLERS} polled at 10 Hz",
+        "event loop, idle",
+        "…, with the same polling",
+    )
     for name, each in zip(words, figures, strict=True):
         spans = (f"{ms * 1000:.0f}" for ms in (each.p50_ms, each.p99_ms, each.max_ms))
         met = "" if each.met is None else "yes" if each.met else "NO"
@@ -151,13 +158,13 @@ def firing(as_json: bool, shots: int) -> None:
 @click.command(epilog="Example: tutti bench rates --json")
 @json_option
 @click.option("--trials", default=30, show_default=True, type=click.IntRange(2, 10_000), help="Crystals a link.")
-@click.option("--seed", default=1, show_default=True, help="Of everything random.")
+@click.option("--seed", default=1, show_default=True, help="Of all random draws.")
 def rates(as_json: bool, trials: int, seed: int) -> None:
-    """Learn crystals that can not be read, and times to the start, from moves of 5 to 60 s; in virtual time.
+    """Learn crystals that cannot be read, and start latencies, from moves of 5 to 60 s; in virtual time.
 
-    Beside the learned rate stand its guaranteed bound, how often the truth was outside it, a crystal that is taken for
-    what it says, and the mean of the measured durations; beside the learned time to the start, what is declared, and
-    the mean of the acknowledgements. 30 crystals a link take half a minute or so.
+    Shown with the learned rate: its guaranteed bound, how often the true rate was outside it, the nominal rate of
+    the crystal, and the mean of the measured durations. Shown with the learned latency: the declared one, and the
+    mean of the acknowledgements. 30 crystals per link take half a minute or so.
     """
     from orchestrator.bench.rates import bench_rates
     from orchestrator.monitor.tables import plain_table
@@ -195,4 +202,4 @@ def _live(steps: int, as_json: bool) -> None:
         shown = (f"{each:.3g}" for each in (row.start.p50_ms, row.start.p99_ms, row.start.max_ms))
         table.add_row(row.fleet, *shown, f"{row.outside} of {row.start.n}", f"{row.noise.p99_ms:.3g}")
     console.print(table)
-    console.print("Host noise is in it: simulated controllers run on this machine, too, and act late with it.")
+    console.print("This includes host noise: simulated controllers run on this machine too, and share its delays.")

@@ -1,4 +1,4 @@
-"""`tutti bench journal`: how fast jobs are taken, and how soon a coordinator with a long history is back."""
+"""`tutti bench journal`: rate of job submissions, and restart time of a coordinator with a long history."""
 
 import tempfile
 from pathlib import Path
@@ -11,15 +11,15 @@ from orchestrator.cli.common import console, json_option, print_json
 @click.command(epilog="Example: tutti bench journal --json")
 @json_option
 @click.option("--jobs", default=1000, show_default=True, type=click.IntRange(1, 100_000), help="Submitted one by one.")
-@click.option("--history", default=10_000, show_default=True, type=click.IntRange(0, 1_000_000), help="Ended jobs.")
+@click.option("--history", default=10_000, show_default=True, type=click.IntRange(0, 1_000_000), help="Finished jobs.")
 @click.option(
     "--folder",
     default=None,
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="On the disk to be measured; default: that of temporary files.",
+    help="On the disk to measure; default: that of temporary files.",
 )
 def journal(as_json: bool, jobs: int, history: int, folder: Path | None) -> None:
-    """Time submissions, each safe on disk before the next, and the restart of a coordinator with many ended jobs.
+    """Time submissions, each safe on disk before the next, and the restart of a coordinator with many finished jobs.
 
     In real time on a real disk; the bus is in memory. Filling the history first takes a minute.
     """

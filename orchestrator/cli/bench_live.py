@@ -1,4 +1,5 @@
-"""`tutti bench jog`, `permit`, `estop`, `kills`, `dispatch`: how soon a live fleet of simulated controllers reacts."""
+"""`tutti bench jog`, `permit`, `estop`, `kills`, `dispatch`: reaction times of a live fleet of simulated
+controllers."""
 
 import sys
 import tempfile
@@ -24,22 +25,22 @@ T = TypeVar("T")
 _PANEL = "from orchestrator.cli.main import main; main(prog_name='tutti')"
 
 _WORDS = {
-    "release": "key let go",
+    "release": "key released",
     "killed": "panel killed",
-    "first_motion": "key pressed, to moving",
-    "plain_release": "let go, repeats only",
+    "first_motion": "key press to motion",
+    "plain_release": "released, repeats only",
     "api_stop": "Hand.stop()",
     "controllers": "controllers",
-    "poll_ms": "read every, ms",
-    "stopped": "input, to the last axis",
-    "first": "the same, to the first axis",
-    "last": "put, to the last axis",
+    "poll_ms": "poll interval, ms",
+    "stopped": "input to the last axis",
+    "first": "input to the first axis",
+    "last": "publication to the last axis",
     "uploading": "the same, others being armed",
-    "shell": "tutti estop, to the last axis",
+    "shell": "tutti estop to the last axis",
     "smc2000_19200": "put, SMC-2000 at 19,200 baud",
     "shrc203_38400": "put, SHRC-203 at 38,400 baud",
-    "noise": "process woken late by",
-    "spoilt": "rounds played again",
+    "noise": "process wake-up delay",
+    "spoilt": "repeated rounds",
 }
 
 
@@ -50,9 +51,9 @@ _WORDS = {
 def jog(as_json: bool, presses: int, kills: int) -> None:
     """Time the jog panel on the demo fleet, live with simulated controllers; takes some minutes.
 
-    From a key that is let go, and from a panel that is killed, to the axis slowing down. Beside it: from the press to
-    the first motion, the same on a terminal that reports no releases, and from the Python interface without panel and
-    terminal; and how late this machine wakes a process.
+    From a key release, and from a killed panel, to the start of deceleration. Also: from the press to the first
+    motion; the same on a terminal that reports no releases; from the Python interface without panel and terminal;
+    and the wake-up delay of processes on this machine.
     """
     from orchestrator.bench.jog import bench_jog
     from orchestrator.cli.demo import EXAMPLES
@@ -70,8 +71,8 @@ def jog(as_json: bool, presses: int, kills: int) -> None:
 def permit(as_json: bool, rounds: int) -> None:
     """Time the loss of a permit in a step over eight controllers, live with simulated controllers.
 
-    From the input that changes to the last axis slowing down, against 50 ms and the period at which a moving
-    controller is read; and how late this machine wakes a process.
+    From the change of the input to the deceleration of the last axis, against 50 ms and the poll interval of a
+    moving controller; and the wake-up delay of processes on this machine.
     """
     from orchestrator.bench.permit import bench_permit
     from orchestrator.cli.demo import EXAMPLES
@@ -89,8 +90,9 @@ def permit(as_json: bool, rounds: int) -> None:
 def estop(as_json: bool, rounds: int) -> None:
     """Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
 
-    From its put to the last axis slowing down; in every other round the controllers that do not move are just being
-    armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of an hour.
+    From its publication to the deceleration of the last axis; in every other round the controllers that do not move
+    are being armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of an
+    hour.
     """
     from orchestrator.bench.estop import bench_estop
 
@@ -106,8 +108,8 @@ def estop(as_json: bool, rounds: int) -> None:
 def kills(as_json: bool, rounds: int) -> None:
     """Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
 
-    No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must work
-    again by itself. A hundred rounds take some twenty minutes.
+    No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must
+    recover by itself. A hundred rounds take some twenty minutes.
     """
     from orchestrator.bench.kills import bench_kills
     from orchestrator.bench.spread import Spread
@@ -126,13 +128,13 @@ def kills(as_json: bool, rounds: int) -> None:
     else:
         table = plain_table(["from the fault to", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
         table.add_row("the last axis at rest", *_cells(figures.rest))
-        table.add_row("a job done again", *_cells(figures.back))
+        table.add_row("a completed job", *_cells(figures.back))
         table.add_row(_WORDS["noise"], *_cells(figures.noise))
         console.print(table)
         ends = ", ".join(f"{count} {state}" for state, count in figures.ends.items())
         console.print(
             f"{figures.rounds} faults; jobs: {ends}; lost {figures.lost}, doubled {figures.doubled}, "
-            f"moved on for longer than declared {figures.moved_on}",
+            f"motions longer than declared {figures.moved_on}",
             highlight=False,
         )
     if figures.lost or figures.doubled or figures.moved_on:
@@ -145,8 +147,8 @@ def kills(as_json: bool, rounds: int) -> None:
 def dispatch(as_json: bool, rounds: int) -> None:
     """Time jobs from their submission to the first motion, on 16 controllers of four axes on TCP, live.
 
-    And in virtual time, where wires and firmware alone take their time; its path is what has to be done before anything
-    can move. Live, simulators and fleet share this machine's processors.
+    Also in virtual time, where only links and firmware take time; its path is the work that must be done before
+    anything can move. Live, simulators and fleet share this machine's processors.
     """
     from orchestrator.bench.dispatch import bench_dispatch
     from orchestrator.monitor.tables import plain_table
@@ -161,8 +163,8 @@ def dispatch(as_json: bool, rounds: int) -> None:
             plain[name] = plain[name]._asdict()
         print_json(plain | {"parts": {name: each._asdict() for name, each in figures.parts.items()}})
         return
-    rows = {"submitted, to the first motion": figures.first_motion, "lead of T0, once it is settled": figures.lead}
-    rows |= {"T0 after the last arming's begin": figures.armed_to_t0}
+    rows = {"submission to first motion": figures.first_motion, "lead time of T0, once settled": figures.lead}
+    rows |= {"begin of last arming to T0": figures.armed_to_t0}
     rows |= {f"part: {name}": each for name, each in figures.parts.items()} | {_WORDS["noise"]: figures.noise}
     table = plain_table(["live", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
     for name, each in rows.items():
@@ -176,7 +178,7 @@ def dispatch(as_json: bool, rounds: int) -> None:
 
 
 def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
-    """What `measure` finds with a folder of its own; exit 1 when what it waits for does not happen."""
+    """Return the result of `measure` in a folder of its own; exit 1 when an expected event does not happen."""
     from orchestrator.bench.truth import NothingHappened
 
     async def main() -> T:
@@ -190,7 +192,7 @@ def _measured(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
 
 
 def _show_spreads(figures: "JogFigures | PermitFigures | EstopFigures", as_json: bool) -> None:
-    """Each spread with what is asked of it; other figures above."""
+    """Show each spread with its target; other figures above."""
     from orchestrator.bench.spread import Spread
     from orchestrator.monitor.tables import plain_table
 
@@ -198,7 +200,7 @@ def _show_spreads(figures: "JogFigures | PermitFigures | EstopFigures", as_json:
     if as_json:
         print_json({name: each._asdict() if isinstance(each, Spread) else each for name, each in fields.items()})
         return
-    table = plain_table(["to slowing down, from", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
+    table = plain_table(["to deceleration, from", "n>", "p50, ms>", "p99, ms>", "max, ms>", "asked", "met"])
     for name, each in fields.items():
         words = _WORDS[name]
         if not isinstance(each, Spread):

@@ -1,4 +1,4 @@
-"""`tutti clock …`: what is known of the controllers' clocks."""
+"""`tutti clock …`: the estimates of the controllers' clocks."""
 
 import click
 
@@ -9,7 +9,7 @@ from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
 
 @click.group(epilog="Example: tutti clock ls")
 def clock() -> None:
-    """The controllers' own clocks, by which they start: how fast they are, and how well that is known."""
+    """Show the controllers' own clocks, which time their starts: their rates, and the bounds of the estimates."""
 
 
 @clock.command(epilog="Example: tutti clock ls")
@@ -18,15 +18,16 @@ def clock() -> None:
 def ls(connect: str, fleet: str | None, as_json: bool) -> None:
     """List every controller's clock.
 
-    rate: how far its ticks are longer than they should be. bound: the guaranteed error of a prediction now and in 5 s.
-    Of one without a clock to read: its rate, and the guaranteed error of that, from so many moves.
+    rate: by how much its ticks are too long. bound: the guaranteed error of a prediction now and in 5 s. For a
+    controller without a readable clock: its rate and the guaranteed error of that, learned from the given number of
+    moves.
     """
     from orchestrator.client import Tutti
-    from orchestrator.client.clocks import clocks
+    from orchestrator.client.clocks import query_clocks
     from orchestrator.monitor.tables import plain_table
 
     async def act(tutti: Tutti) -> None:
-        found = await clocks(tutti)
+        found = await query_clocks(tutti)
         if as_json:
             print_json({name: reply.to_plain() for name, reply in found.items()})
             return
@@ -43,12 +44,12 @@ def ls(connect: str, fleet: str | None, as_json: bool) -> None:
 @fleet_options
 @json_option
 def show(controller: str, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Show all that is known of one controller's clock."""
+    """Show the estimate of one controller's clock."""
     from orchestrator.client import Tutti
-    from orchestrator.client.clocks import clocks
+    from orchestrator.client.clocks import query_clocks
 
     async def act(tutti: Tutti) -> None:
-        found = await clocks(tutti)
+        found = await query_clocks(tutti)
         if controller not in found:
             fail(f"no adapter answers for {controller}; controllers: {', '.join(found) or 'none'}", FAILED)
         reply = found[controller]
@@ -80,17 +81,17 @@ def _cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list
 def _lines(reply: ClockReply) -> list[tuple[str, str]]:
     mapping, crystal = reply.mapping, reply.crystal
     if mapping is None and crystal is not None:
-        fits = "fits" if crystal.consistent else "did not fit the last move: what was learned before is forgotten"
+        fits = "fits" if crystal.consistent else "did not fit the last move: earlier moves are discarded"
         return [
             ("starts by", ", ".join(reply.start_classes)),
-            ("clock", "none that can be read"),
+            ("clock", "not readable"),
             ("crystal", f"{crystal.rate_ppm:+.2f} ppm fast, learned from {crystal.moves} moves"),
             ("bound", f"{crystal.bound_ppm:.2f} ppm, guaranteed; standard deviation {crystal.error_ppm:.2f} ppm"),
-            ("residual", f"the last measurements are {crystal.residual_ppm:.2f} ppm from it on average"),
+            ("residual", f"the mean distance of the last measurements is {crystal.residual_ppm:.2f} ppm"),
             ("model", fits),
         ]
     if mapping is None:
-        return [("starts by", ", ".join(reply.start_classes)), ("clock", "none that can be read, or not known yet")]
+        return [("starts by", ", ".join(reply.start_classes)), ("clock", "not readable, or not estimated yet")]
     return [
         ("starts by", ", ".join(reply.start_classes)),
         ("tick", f"{mapping.tick_ns / 1e3:.4f} µs of its host's clock, {mapping.rate_ppm:+.2f} ppm off"),
@@ -98,8 +99,8 @@ def _lines(reply: ClockReply) -> list[tuple[str, str]]:
             "offset",
             f"tick {mapping.ticks_at} began {mapping.age_ns / 1e9:.3f} s ago, host time {mapping.host_at_ns}",
         ),
-        ("bound", f"{_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs a second; guaranteed"),
-        ("readings", f"{mapping.samples}, {_ms(mapping.residual_ns)} from the mapping on average"),
+        ("bound", f"{_ms(_bound_ns(mapping, 0))} now, growing by {mapping.drift_ppm:.2f} µs per second; guaranteed"),
+        ("readings", f"{mapping.samples}, mean distance {_ms(mapping.residual_ns)} from the mapping"),
         ("model", "fits" if mapping.consistent else "does not fit: a crystal beyond 100 ppm, or a clock that was set"),
         ("round trips", f"the fastest took {_ms(mapping.min_rtt_ns)}"),
     ]

@@ -1,4 +1,4 @@
-"""What the commands share: how to reach the fleet, output for people and programs, errors and exit codes."""
+"""Shared parts of the commands: connection options, output for people and programs, errors and exit codes."""
 
 import asyncio
 import getpass
@@ -22,7 +22,7 @@ _UNREACHABLE_CODES = {"no-fleet", "no-coordinator", "absent", "no-answer"}
 
 
 def fleet_options(command: F) -> F:
-    """Adds `--connect` and `--fleet`."""
+    """Add the options `--connect` and `--fleet`."""
     connect = click.option(
         "--connect",
         envvar="TUTTI_CONNECT",
@@ -47,18 +47,18 @@ def _fleet_name(_: click.Context, option: click.Parameter, value: str | None) ->
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 processes_option = click.option(
-    "--processes", default=1, show_default=True, type=click.IntRange(1, 256), help="To play in at a time."
+    "--processes", default=1, show_default=True, type=click.IntRange(1, 256), help="Number of parallel processes."
 )
 
 
 def print_json(value: Any) -> None:
-    """One JSON document on standard output."""
-    # Written out at once: what is left to the end of the interpreter is lost when it does not come so far.
+    """Print one JSON document on standard output."""
+    # Flushed immediately: data left to the end of the interpreter is lost if the process is killed before.
     click.echo(json.dumps(value, indent=2))
 
 
 def fail(text: str, code: int = FAILED, remedy: str = "") -> NoReturn:
-    """Say what is wrong and what to do, and exit."""
+    """Print the error and its remedy, and exit."""
     errors.print(f"[bold red]tutti:[/] {_plain(text)}", highlight=False, soft_wrap=True)
     if remedy:
         errors.print(f"       {_plain(remedy)}", highlight=False, soft_wrap=True)
@@ -82,10 +82,10 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 
 
 def _explain(error: Exception) -> None:
-    """Say what an expected error means, and exit; of others, nothing."""
-    # Only now: an e-stop does not wait for all that could go wrong to be loaded.
+    """Print an expected error and exit; return for any other error."""
+    # Imported only here: an e-stop must not wait for the loading of all error types.
     from orchestrator.bus.zenoh.sessions import RouterRefused, RouterUnreachable
-    from orchestrator.client.api import Refused
+    from orchestrator.model.errors import Refusal
     from orchestrator.model.files import FileError
     from orchestrator.runtime.live import UpFailed
 
@@ -96,15 +96,15 @@ def _explain(error: Exception) -> None:
             fail(str(error), UNREACHABLE)
         case UpFailed():
             fail(str(error), FAILED)
-        case Refused():
-            code = UNREACHABLE if error.refusal.code in _UNREACHABLE_CODES else FAILED
-            fail(f"{error.refusal.text} ({error.refusal.code})", code, error.refusal.remedy)
+        case Refusal():
+            code = UNREACHABLE if error.code in _UNREACHABLE_CODES else FAILED
+            fail(f"{error.text} ({error.code})", code, error.remedy)
         case _:
             pass
 
 
 def with_fleet(connect: str, fleet: str | None, act: Callable[[Any], Awaitable[T]]) -> T:
-    """Connect, do `act(tutti)`, and leave the bus in every case."""
+    """Connect, run `act(tutti)`, and leave the bus in every case."""
     from orchestrator.client import Tutti
 
     async def main() -> T:
@@ -115,7 +115,7 @@ def with_fleet(connect: str, fleet: str | None, act: Callable[[Any], Awaitable[T
 
 
 def actor() -> str:
-    """Who asks, for journals and logs."""
+    """Return the user's name, for journals and logs."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

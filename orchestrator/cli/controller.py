@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.command(epilog='Example: tutti raw gantry "MG TIME" --i-know')
 @click.argument("controller")
 @click.argument("command")
-@click.option("--i-know", is_flag=True, help="Yes, send it: no limit is checked.")
+@click.option("--i-know", is_flag=True, help="Confirm: the command is sent without any limit check.")
 @fleet_options
 @json_option
 def raw(controller: str, command: str, i_know: bool, connect: str, fleet: str | None, as_json: bool) -> None:
@@ -24,7 +24,7 @@ def raw(controller: str, command: str, i_know: bool, connect: str, fleet: str | 
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
-        reply = await tutti.raw(controller, command, i_know)
+        reply = await tutti.send_raw(controller, command, i_know=i_know)
         print_json({"reply": reply}) if as_json else console.print(reply, highlight=False, markup=False)
 
     with_fleet(connect, fleet, act)
@@ -32,8 +32,8 @@ def raw(controller: str, command: str, i_know: bool, connect: str, fleet: str | 
 
 @click.command(epilog="Examples: tutti trace gantry; tutti trace spindle --format blf --output spindle.blf")
 @click.argument("controller")
-@click.option("--format", "form", type=click.Choice(["asc", "blf", "candump"]), help="Of a log of a CAN bus.")
-@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="The file of that log.")
+@click.option("--format", "form", type=click.Choice(["asc", "blf", "candump"]), help="Format of a CAN bus log.")
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="Output file of the log.")
 @fleet_options
 @json_option
 def trace(
@@ -46,14 +46,14 @@ def trace(
 ) -> None:
     """Show the bytes of the last 60 s on CONTROLLER's link: seconds before now, direction, text.
 
-    With --format and --output, write the frames of its CAN bus to a file that other tools read.
+    With --format and --output, write the frames of its CAN bus to a log file for other tools.
     """
     if (form is None) != (output is None):
-        raise click.UsageError("--format and --output belong together; give both, or none")
+        raise click.UsageError("--format and --output must be given together")
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
-        reply = await tutti.trace(controller)
+        reply = await tutti.read_trace(controller)
         if form is not None and output is not None:
             count = _write_log(reply, form, output, controller)
             print_json({"frames": count, "file": str(output)}) if as_json else console.print(
@@ -78,7 +78,7 @@ def trace(
 
 
 def _write_log(reply: "TraceReply", form: "LogFormat", output: Path, controller: str) -> int:
-    """How many frames there were. Raises `click.ClickException`."""
+    """Write the log and return the number of frames. Raises `click.ClickException`."""
     from datetime import datetime
 
     from adapters.link.can_log import write_log

@@ -1,4 +1,4 @@
-"""`tutti demo`: a job on a simulated fleet, from nothing to the report."""
+"""`tutti demo`: a job on a simulated fleet, from the start of all processes to the report."""
 
 import asyncio
 import signal
@@ -11,7 +11,7 @@ import click
 from orchestrator.cli.codes import FAILED, INTERRUPTED
 from orchestrator.cli.common import console, fail, json_option, print_json, run
 
-READY_S = 30.0  # for all controllers to be adopted; a second on a machine with nothing else to do
+READY_S = 30.0  # for the adoption of all controllers; takes a second on an idle machine
 LOOK_S = 0.05
 JOB_S = 120.0  # for the job, which takes six seconds
 
@@ -25,17 +25,17 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "deploy" / "examples"
     type=click.Choice(["two", "all"]),
     default="two",
     show_default=True,
-    help="two: an SMC-4000 and an SHRC-203; all: every make, and a wire that starts some of them.",
+    help="two: an SMC-4000 and an SHRC-203; all: every make, and a trigger wire that starts some of them.",
 )
-@click.option("--headless", is_flag=True, help="Show nothing while it runs.")
+@click.option("--headless", is_flag=True, help="Show no progress.")
 @json_option
 @click.option("--keep", type=click.Path(path_type=Path), default=None, help="Keep logs and journal in this folder.")
 def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
     """Start router, simulators, adapter hosts and coordinator, run the example job, and print its report.
 
-    The simulated controllers stand on real TCP ports and pseudo-terminals, and write down what they really do: the
-    verdicts are held against it. Exit 0 only if the job is done and every start skew is surely within what the job
-    allows; 130 when interrupted.
+    The simulated controllers listen on real TCP ports and pseudo-terminals, and record their true motions, which the
+    verdicts are checked against. Exit 0 only if the job is done and every start skew is guaranteed within the limit
+    of the job; 130 when interrupted.
     """
     from orchestrator.model.files import load_fleet, load_job
     from orchestrator.model.report import JobReport
@@ -58,7 +58,7 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
                     _run_job(live.connect, fleet.fleet, job, len(fleet.controllers), headless or as_json)
                 )
                 assert live.failed is not None
-                # A part that ends for good would be waited for in vain.
+                # A part whose exit code is final would never become ready.
                 await asyncio.wait([job_run, live.failed], return_when=asyncio.FIRST_COMPLETED)
                 if job_run.done():
                     report, origin_host_ns = await job_run
@@ -78,26 +78,27 @@ def demo(which: str, headless: bool, as_json: bool, keep: Path | None) -> None:
 
         console.print(report_tables(report))
         for each in truths:
-            holds = "the verdict holds it" if each.held else "[yellow]outside the verdict[/]"
+            holds = "the verdict contains it" if each.held else "[yellow]outside the verdict[/]"
             who = f"; outside their evidence: {', '.join(each.outside)}" if each.outside else ""
             console.print(f"step {each.step}: true start skew {each.skew_ns / 1e6:.2f} ms; {holds}{who}")
         if not all(each.held and not each.outside for each in truths):
-            console.print("Simulated controllers act late on a busy machine, which real ones do not.")
+            console.print("Simulated controllers react late on a busy machine, unlike real ones.")
     if report.state != "done":
         raise SystemExit(FAILED)
     if unsure:
         names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)
         fail(
-            f"the start skew is not surely within what the job allows in step {names}",
-            remedy="the machine was perhaps too busy to take the controllers' answers in time; try again",
+            f"the start skew cannot be guaranteed within the limit of the job in step {names}",
+            remedy="the machine was perhaps too busy to read the controllers' replies in time; try again",
         )
 
 
 async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: bool) -> tuple[Any, int]:
-    """Wait until the fleet is adopted, then submit and follow; with the host instant at which fleet time is 0."""
+    """Wait until the fleet is adopted, then submit and follow the job; return also the host instant at which fleet
+    time is 0."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
-    from orchestrator.model.messages import Reign
+    from orchestrator.model.messages import LeaderHeartbeat
     from orchestrator.model.state import ControllerState
     from orchestrator.runtime.live import UpFailed
 
@@ -109,20 +110,20 @@ async def _run_job(connect: str, fleet: str, job: Any, controllers: int, quiet: 
                     states = await tutti.status()
                     await asyncio.sleep(LOOK_S)
         except TimeoutError:
-            shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "none answers"
-            raise UpFailed(f"not all controllers are ready within {READY_S:g} s: {shown}") from None
+            shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "no controller answers"
+            raise UpFailed(f"not all controllers are ready after {READY_S:g} s: {shown}") from None
         job_id = await tutti.submit(job)
         try:
             async with asyncio.timeout(JOB_S):
                 report = await follow(tutti, job_id, quiet)
         except TimeoutError:
-            raise UpFailed(f"job {job_id} has not ended within {JOB_S:g} s; look at the logs with --keep") from None
-        async with tutti.samples(tutti.keys.reign) as heard:
-            return report, Reign.model_validate_json((await heard.get()).payload).origin_host_ns
+            raise UpFailed(f"job {job_id} has not ended after {JOB_S:g} s; see the logs with --keep") from None
+        async with tutti.subscribe_samples(tutti.keys.leader) as heard:
+            return report, LeaderHeartbeat.model_validate_json((await heard.get()).payload).origin_host_ns
 
 
 def summary(report: Any) -> dict[str, Any]:
-    """The report as one object: state, and each step's members, start skew, budget and durations."""
+    """Return the report as one object: state, and each step's members, start skew, budget and durations."""
     steps: list[dict[str, Any]] = []
     for step in report.to_plain()["steps"]:
         steps.append(

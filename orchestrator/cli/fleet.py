@@ -1,4 +1,4 @@
-"""`tutti status`, `stop`, `estop`, `reset`: the whole fleet, at once."""
+"""`tutti status`, `stop`, `estop`, `reset`: the whole fleet."""
 
 import asyncio
 import uuid
@@ -24,7 +24,7 @@ from orchestrator.cli.common import (
 @fleet_options
 @json_option
 def status(connect: str, fleet: str | None, as_json: bool) -> None:
-    """Show every controller and axis as they are now."""
+    """Show the current state of every controller and axis."""
     from orchestrator.client import Tutti
     from orchestrator.monitor.fleet_view import state_table
 
@@ -43,7 +43,7 @@ def status(connect: str, fleet: str | None, as_json: bool) -> None:
 @json_option
 @click.option("--abort", is_flag=True, help="As fast as the controllers can, instead of by the planned ramps.")
 def stop(connect: str, fleet: str | None, as_json: bool, abort: bool) -> None:
-    """Stop all axes of the fleet and end the running job. Needs no coordinator."""
+    """Stop all axes of the fleet and end the running job. Works without a coordinator."""
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
@@ -55,11 +55,12 @@ def stop(connect: str, fleet: str | None, as_json: bool, abort: bool) -> None:
 @click.command(epilog='Example: tutti estop --reason "hand in the machine"')
 @fleet_options
 @json_option
-@click.option("--reason", default="", help="Shown to everybody until it is reset.")
+@click.option("--reason", default="", help="Shown to all users until it is reset.")
 def estop(connect: str, fleet: str | None, as_json: bool, reason: str) -> None:
     """Stop everything as fast as the controllers can, and latch until `tutti reset`.
 
-    Without --fleet every fleet on the bus is stopped. This is software: it is no substitute for a wired emergency stop.
+    Without --fleet every fleet on the bus is stopped. This is software: it is no substitute for a wired emergency
+    stop.
     """
     latched = run(_stop_all(connect, fleet, reason))
     if as_json:
@@ -68,14 +69,18 @@ def estop(connect: str, fleet: str | None, as_json: bool, reason: str) -> None:
         for controller, done in latched.items():
             console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
     if not latched:
-        fail(f"nobody on {connect} shows the e-stop", UNREACHABLE, "use the wired one; then see `tutti status`")
+        fail(
+            f"no controller on {connect} confirms the e-stop",
+            UNREACHABLE,
+            "use the wired e-stop; then see `tutti status`",
+        )
     if not all(latched.values()):
-        fail("not every controller shows the e-stop", FAILED, "use the wired one; then see `tutti status`")
+        fail("not every controller confirms the e-stop", FAILED, "use the wired e-stop; then see `tutti status`")
 
 
 async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
-    """Order the e-stop, and see by whom it was heard; controllers have their fleet's name before them if there are
-    several."""
+    """Send the e-stop, and return which controllers confirmed it; names begin with the fleet if there are several
+    fleets."""
     from orchestrator.bus.estop import put_estop
     from orchestrator.bus.zenoh.bus import open_bus
     from orchestrator.clock.realtime import Urgency, hurry
@@ -84,12 +89,12 @@ async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, b
     bus, who = await open_bus(connect), actor()
     try:
         put_estop(bus, fleet, f"{who}-{uuid.uuid4().hex[:8]}", who, reason)
-        # All else is loaded only now that the order is on its way.
+        # Everything else is imported only now that the e-stop is sent.
         from orchestrator.bus.fleets import find_fleets
         from orchestrator.client import Tutti
 
         fleets = await find_fleets(bus) if fleet is None else [fleet]
-        found = await asyncio.gather(*(Tutti(bus, name).latched() for name in fleets))
+        found = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
     finally:
         await bus.close()
     if len(fleets) == 1:
@@ -108,8 +113,8 @@ async def _stop_all(connect: str, fleet: str | None, reason: str) -> dict[str, b
 def reset(event: str | None, connect: str, fleet: str | None, as_json: bool) -> None:
     """Release the e-stop named EVENT on every controller, and clear the faults that can be cleared.
 
-    Without EVENT the one that is latched is meant; if there are several, they are listed and none is released.
-    Every controller is asked first whether it is safe: if one says no, none is released.
+    Without EVENT, the one that is latched; if there are several, they are listed and none is released. First every
+    controller is checked for safety: if one refuses, none is released.
     """
     from orchestrator.client import Tutti
 
@@ -120,19 +125,19 @@ def reset(event: str | None, connect: str, fleet: str | None, as_json: bool) -> 
         if event is None and len(latched) > 1:
             for name, latch in latched.items():
                 errors.print(f"{name}: by {latch.actor}: {latch.reason}", markup=False)
-            fail("several e-stops are latched", FAILED, "say which: `tutti reset EVENT`")
+            fail("several e-stops are latched", FAILED, "name one: `tutti reset EVENT`")
         for name in latched if event is None else [event]:
             if not as_json:
                 console.print(f"releasing e-stop {name} by {latched[name].actor}", markup=False)
         answers = await tutti.reset(event)
         refused = any(answers.values())
-        _tell(answers, "still latched, because of another" if refused and latched else "reset", as_json)
+        _tell(answers, "still latched by another e-stop" if refused and latched else "reset", as_json)
 
     with_fleet(connect, fleet, act)
 
 
 def _tell(answers: dict[str, Any], done: str, as_json: bool) -> None:
-    """What each controller answered; a refusal makes the exit code 1."""
+    """Print the answer of each controller; a refusal makes the exit code 1."""
     if as_json:
         print_json({name: refusal.to_plain() if refusal else None for name, refusal in answers.items()})
     else:

@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 @click.group(epilog="Example: tutti fleet check lab3.fleet.yaml")
 def fleet() -> None:
-    """Check fleet files, offline and against the units that are there; give the running fleet another one."""
+    """Check fleet files, offline and against connected controllers; load another one into the running fleet."""
 
 
 @fleet.command(epilog="Example: tutti fleet check lab3.fleet.yaml --live")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help="Also compare with the adapters that run now, and with their units.")
+@click.option("--live", is_flag=True, help="Also compare with the running adapters, and with their controllers.")
 @fleet_options
 def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
-    """Check FILE: its form, its references, and each controller's part by its make's own rules."""
+    """Check FILE: its form, its references, and each controller's part by the rules of its make."""
     from orchestrator.client import Tutti
 
     loaded = load_or_fail(file)
@@ -36,13 +36,13 @@ def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
         for name, config in loaded.controllers.items():
             state = states.get(name)
             if state is None:
-                said = "[red]no adapter runs for it[/]; is its host in `tutti up`?"
+                said = "[red]no adapter runs for it[/]; is its host part of `tutti up`?"
             elif state.digest != config.digest:
                 said = f"[red]its adapter has another configuration[/] ({state.digest}, the file has {config.digest})"
             elif state.faults:
                 said = f"[red]{state.faults[0].text}[/]; {state.faults[0].remedy}"
             else:
-                console.print(f"{name}: the unit and its adapter agree with the file")
+                console.print(f"{name}: controller and adapter agree with the file")
                 continue
             wrong += 1
             console.print(f"{name}: {said}", soft_wrap=True)
@@ -56,27 +56,28 @@ def check(file: Path, live: bool, connect: str, fleet: str | None) -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @fleet_options
 def reload(file: Path, connect: str, fleet: str | None) -> None:
-    """Give the running fleet the fleet file FILE, without ending anything.
+    """Load the fleet file FILE into the running fleet, without a restart.
 
-    Only idle controllers that no job and nobody holds take another configuration; if one refuses, none changes. Their
-    axes must be homed again. Controllers that come or go, or another link, adapter or host, need a new `tutti up`.
+    Only idle controllers that no job and no user has acquired accept another configuration; if one refuses, none
+    changes. Their axes must be homed again. A controller that is added or removed, or another link, adapter or host,
+    needs a new `tutti up`.
     """
     from orchestrator.client import Tutti
 
     loaded = load_or_fail(file)
 
     async def act(tutti: Tutti) -> None:
-        changed = await tutti.reload(loaded)
+        changed = await tutti.reload_fleet(loaded)
         for name in changed:
             console.print(f"{name}: has the new configuration; home its axes again")
         if not changed:
-            console.print("no controller has changed")
+            console.print("no controller changed")
 
     with_fleet(connect, fleet or loaded.fleet, act)
 
 
 def load_or_fail(file: Path) -> "Fleet":
-    """The checked fleet file; a wrong one ends the command with its message."""
+    """Load the checked fleet file; an invalid one ends the command with its message."""
     from orchestrator.cli.common import run
     from orchestrator.runtime.checked import load_checked_fleet
 

@@ -4,43 +4,43 @@ from rich.live import Live
 
 from orchestrator.cli.common import console, errors
 from orchestrator.client import Tutti
-from orchestrator.model.report import JobReport, Progress
+from orchestrator.model.report import JobProgress, JobReport
 from orchestrator.monitor.fleet_view import LiveView, job_line
 
 
 async def follow(tutti: Tutti, job_id: str, quiet: bool) -> JobReport:
-    """Wait for a job, showing the fleet live on a terminal, lines elsewhere; if `quiet` only for whom it waits, on
-    standard error."""
+    """Wait for a job, showing the fleet live on a terminal, lines elsewhere; if `quiet`, only the reason why it
+    waits, on standard error."""
     if quiet:
         waits = ""
 
-        def tell_waiting(progress: Progress) -> None:
+        def tell_waiting(progress: JobProgress) -> None:
             nonlocal waits
             if progress.state == "queued" and progress.reason != waits:
                 waits = progress.reason
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait(job_id, tell_waiting)
+        return await tutti.wait_for_job(job_id, tell_waiting)
     if not console.is_terminal:
         last = ""
 
-        def tell(progress: Progress) -> None:
+        def tell(progress: JobProgress) -> None:
             nonlocal last
             line = job_line(progress)
-            # The same state and step again differs only in its time.
+            # Progress with the same state and step differs only in its time.
             if line[28:] != last:
                 last = line[28:]
                 console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait(job_id, tell)
+        return await tutti.wait_for_job(job_id, tell)
     view = LiveView(tutti.keys)
-    async with tutti.samples(*view.expressions) as samples:
+    async with tutti.subscribe_samples(*view.expressions) as samples:
         view.states = await tutti.status()
         with Live(get_renderable=view.render, console=console, refresh_per_second=10, transient=True):
 
-            def take(progress: Progress) -> None:
+            def take(progress: JobProgress) -> None:
                 view.note(progress)
                 while not samples.empty():
                     view.take(samples.get_nowait())
 
-            return await tutti.wait(job_id, take, poll_s=0.25)
+            return await tutti.wait_for_job(job_id, take, poll_s=0.25)

@@ -8,7 +8,7 @@ from orchestrator.cli.one_step import run_step
 
 @click.group(epilog="Example: tutti io set gantry.lamp on")
 def io() -> None:
-    """Look at inputs and outputs by their names, and switch outputs."""
+    """List inputs and outputs by their names, and switch outputs."""
 
 
 @io.command("ls", epilog="Example: tutti io ls --json")

@@ -8,7 +8,7 @@ import click
 from orchestrator.cli.codes import FAILED
 from orchestrator.cli.common import console, errors, fail, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.job_history import list_jobs, prune
-from orchestrator.cli.job_queue import hold, move, pause, release, resume, retry
+from orchestrator.cli.job_queue import hold, pause, release, reorder, resume, retry
 from orchestrator.cli.job_terms import TermsOptions, entry_lines, make_terms, tell_accepted, terms_options
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
@@ -16,7 +16,7 @@ _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 @click.group(epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
-    """Submit, list, show and cancel jobs, put them in order, pause them, do them again, and read their reports."""
+    """Submit, list, show, reorder, pause, cancel and retry jobs, and read their reports."""
 
 
 @click.command("submit", epilog="Example: tutti job submit scan.job.yaml --repeat 3 --at 22:30")
@@ -24,8 +24,8 @@ def job() -> None:
 @fleet_options
 @json_option
 @click.option("--wait", is_flag=True, help="Wait for the end and print the report; exit 1 unless the job is done.")
-@click.option("--dry-run", is_flag=True, help="Only say what each move would take, from where the axes stand now.")
-@click.option("--key", default=None, help="Client key: the same key again gives the same job, never a second one.")
+@click.option("--dry-run", is_flag=True, help="Only report what each move would take from the current positions.")
+@click.option("--key", default=None, help="Client key: repeating a key returns the same job, never a second one.")
 @terms_options
 def submit(
     file: Path,
@@ -37,7 +37,7 @@ def submit(
     key: str | None,
     **terms: Unpack[TermsOptions],
 ) -> None:
-    """Submit the job in FILE. It begins when what it needs is free, and no earlier job waits for that."""
+    """Submit the job in FILE. It begins when its axes are free, and no earlier job waits for them."""
     from orchestrator.cli.follow import follow
     from orchestrator.client import Tutti
     from orchestrator.model.files import load_job
@@ -50,7 +50,7 @@ def submit(
         if dry_run:
             _show_dry_run(await tutti.dry_run(loaded), as_json)
             return
-        entry = await tutti.enqueue(loaded, key, wanted)
+        entry = await tutti.enqueue_job(loaded, key, wanted)
         if not wait:
             print_json({"job_id": entry.id, "at": entry.terms.at}) if as_json else tell_accepted(entry)
             return
@@ -65,7 +65,7 @@ def submit(
 
 
 job.add_command(submit)
-for command in (list_jobs, prune, hold, release, move, pause, resume, retry):
+for command in (list_jobs, prune, hold, release, reorder, pause, resume, retry):
     job.add_command(command)
 
 
@@ -74,12 +74,12 @@ for command in (list_jobs, prune, hold, release, move, pause, resume, retry):
 @fleet_options
 @json_option
 def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Show a job: its steps and how it came to its state."""
+    """Show a job: its steps and the history of its state."""
     from orchestrator.client import Tutti
-    from orchestrator.model.step_words import step_words
+    from orchestrator.model.step_words import describe_step
 
     async def act(tutti: Tutti) -> None:
-        shown = await tutti.show(job_id)
+        shown = await tutti.show_job(job_id)
         if as_json:
             print_json(shown.to_plain())
             return
@@ -89,7 +89,7 @@ def show(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown.report.steps} if shown.report else {}
         for index, step in enumerate(shown.job.steps if shown.job else []):
-            line = f"  {index} {step_words(step)}"
+            line = f"  {index} {describe_step(step)}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
             console.print(line, highlight=False, markup=False)
@@ -109,7 +109,7 @@ def cancel(job_id: str, connect: str, fleet: str | None) -> None:
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
-        await tutti.cancel(job_id)
+        await tutti.cancel_job(job_id)
         console.print(f"job {job_id} is cancelled")
 
     with_fleet(connect, fleet, act)
@@ -120,12 +120,12 @@ def cancel(job_id: str, connect: str, fleet: str | None) -> None:
 @fleet_options
 @json_option
 def report(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Print the report of a job that has ended: budget, verdict, members, durations."""
+    """Print the report of a finished job: budget, verdict, members, durations."""
     from orchestrator.client import Tutti
     from orchestrator.monitor.report_table import report_tables
 
     async def act(tutti: Tutti) -> None:
-        found = (await tutti.show(job_id)).report
+        found = (await tutti.show_job(job_id)).report
         if found is None:
             errors.print(f"[bold red]tutti:[/] job {job_id} has not ended; see `tutti job show {job_id}`")
             raise SystemExit(FAILED)
@@ -137,25 +137,26 @@ def report(job_id: str, connect: str, fleet: str | None, as_json: bool) -> None:
 @job.command(epilog="Example: tutti job plot 3f2a91c0 --out move.png")
 @click.argument("job_id")
 @click.option("--step", type=click.IntRange(0), default=None, help="One motion step only.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="The picture; default: JOB_ID-STEP.png.")
+@click.option("--out", type=click.Path(path_type=Path), default=None, help="Output file; default: JOB_ID-STEP.png.")
 @fleet_options
 def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: str | None) -> None:
     """Plot planned against polled positions of a job's motion steps, a PNG each.
 
-    The newest jobs are kept for that. With --out and several steps their numbers are put before the suffix.
+    Recordings are kept for the newest jobs only. With --out and several steps, the step number is inserted before
+    the suffix.
     """
     from orchestrator.client import Tutti
     from orchestrator.monitor.job_plot import plot_step
 
     async def act(tutti: Tutti) -> None:
-        shown = await tutti.show(job_id)
+        shown = await tutti.show_job(job_id)
         assert shown.entry is not None
         wanted = (
             [step] if step is not None else range(len(shown.job.steps) * shown.entry.terms.repeat if shown.job else 0)
         )
-        found = [each for index in wanted if (each := await tutti.recording(shown.entry.id, index)) is not None]
+        found = [each for index in wanted if (each := await tutti.load_recording(shown.entry.id, index)) is not None]
         if not found:
-            fail(f"nothing is recorded of job {job_id}" + ("" if step is None else f" step {step}"), FAILED)
+            fail(f"job {job_id} has no recording" + ("" if step is None else f" step {step}"), FAILED)
         for each in found:
             path = out or Path(f"{job_id}.png")
             if out is None or len(found) > 1:
@@ -164,7 +165,7 @@ def plot(job_id: str, step: int | None, out: Path | None, connect: str, fleet: s
             try:
                 plot_step(each, title, path)
             except (OSError, ValueError) as error:
-                fail(f"{path} can not be written: {error}", FAILED)
+                fail(f"{path} cannot be written: {error}", FAILED)
             console.print(f"step {each.step}: {path}", highlight=False)
 
     with_fleet(connect, fleet, act)

@@ -1,4 +1,4 @@
-"""`tutti job ls` and `prune`: the jobs that the journal knows."""
+"""`tutti job ls` and `prune`: the jobs in the journal."""
 
 from collections.abc import Sequence
 from datetime import datetime
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from orchestrator.model.report import QueueEntry
 
 _STATES = (
-    *("queued", "planning", "arming", "armed", "committed", "running", "holding"),
+    *("queued", "planning", "arming", "armed", "committed", "running", "paused"),
     *("done", "failed", "cancelled", "aborted", "interrupted"),
 )
 
@@ -28,13 +28,13 @@ _STATES = (
 def list_jobs(
     connect: str, fleet: str | None, as_json: bool, limit: int, state: str | None, name: str, since: datetime | None
 ) -> None:
-    """List the newest jobs. #: the place in the queue of those that wait."""
+    """List the newest jobs. #: the place of a waiting job in the queue."""
     from orchestrator.client import Tutti
     from orchestrator.model.service import ListJobs
 
     async def act(tutti: Tutti) -> None:
-        asked = ListJobs.model_validate({**tutti.fields(), "state": state})
-        found = await tutti.jobs(limit, asked.state, name, None if since is None else since.isoformat())
+        asked = ListJobs.model_validate({**tutti.request_fields(), "state": state})
+        found = await tutti.list_jobs(limit, asked.state, name, None if since is None else since.isoformat())
         if as_json:
             print_json([entry.to_plain() for entry in found.jobs])
             return
@@ -46,7 +46,7 @@ def list_jobs(
 
 
 def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
-    """A line for each, and one for its reason: beside the rest 80 columns leave a sentence no room."""
+    """Print a line for each job, and one for its reason: at 80 columns the other cells leave no room for a sentence."""
     from rich.padding import Padding
     from rich.text import Text
 
@@ -54,12 +54,12 @@ def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
 
     table = plain_table(["job", "name", "actor", "#>", "state", "submitted, UTC"])
     for column in table.columns:
-        # Where the window is narrow, only these give way: their cells are cut, not wrapped.
+        # In a narrow window only these columns shrink: their cells are cut, not wrapped.
         column.no_wrap = column.header not in {"name", "actor"}
     for entry in jobs:
         place = "" if entry.place is None else str(entry.place)
         submitted = entry.submitted_utc[:19].replace("T", " ")
-        # People's words: a row each, whatever breaks a line or looks like markup in them.
+        # Text of users: one row each, whatever line breaks or markup it contains.
         name, actor = (
             Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
         )
@@ -75,16 +75,22 @@ def print_jobs(jobs: Sequence["QueueEntry"]) -> None:
 
 
 @click.command(epilog="Example: tutti job prune --older 90d --keep 1000")
-@click.option("--older", required=True, type=Span(), help="Jobs that were submitted longer ago, e.g. 90d.")
-@click.option("--keep", default=1000, show_default=True, type=click.IntRange(0), help="The newest are kept anyway.")
+@click.option("--older", required=True, type=Span(), help="Age of the jobs to delete, e.g. 90d.")
+@click.option(
+    "--keep",
+    default=1000,
+    show_default=True,
+    type=click.IntRange(0),
+    help="Number of newest jobs that are kept anyway.",
+)
 @fleet_options
 @json_option
 def prune(older: float, keep: int, connect: str, fleet: str | None, as_json: bool) -> None:
-    """Forget ended jobs, with their reports. Their client keys are forgotten too: such a key then gives a new job."""
+    """Delete finished jobs, with their reports and client keys. A deleted key then gives a new job."""
     from orchestrator.client import Tutti
 
     async def act(tutti: Tutti) -> None:
-        gone = await tutti.prune(older, keep)
-        print_json({"jobs": gone}) if as_json else console.print(f"{gone} jobs are forgotten", highlight=False)
+        gone = await tutti.prune_jobs(older, keep)
+        print_json({"jobs": gone}) if as_json else console.print(f"{gone} jobs deleted", highlight=False)
 
     with_fleet(connect, fleet, act)

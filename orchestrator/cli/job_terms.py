@@ -1,4 +1,4 @@
-"""Options about a job's place in the queue, and times as people write them."""
+"""Options for a job's place in the queue, and times in user notation."""
 
 import re
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import click
 from orchestrator.cli.common import console
 
 if TYPE_CHECKING:
-    from orchestrator.model.queue import Terms
+    from orchestrator.model.queue import QueueTerms
     from orchestrator.model.report import QueueEntry
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -21,7 +21,7 @@ _CLOCK = re.compile(r"^\d{1,2}:\d{2}(:\d{2})?$")
 
 
 class TermsOptions(TypedDict):
-    """What `terms_options` gives to a command."""
+    """The values that `terms_options` passes to a command."""
 
     priority: int
     repeat: int
@@ -32,7 +32,7 @@ class TermsOptions(TypedDict):
 
 
 class Span(click.ParamType[float]):
-    """A span of time as `90d`, `2h`, `1.5min`: seconds."""
+    """A duration such as `90d`, `2h`, `1.5min`: seconds."""
 
     name = "duration"
 
@@ -46,7 +46,7 @@ class Span(click.ParamType[float]):
 
 
 class Instant(click.ParamType[datetime]):
-    """An RFC 3339 time; without an offset it is local, and `22:30` is the next one to come. Aware, in local time."""
+    """An RFC 3339 time; without an offset it is local, and `22:30` is the next such time. Aware, in local time."""
 
     name = "time"
 
@@ -75,12 +75,12 @@ class Instant(click.ParamType[datetime]):
 
 
 def terms_options(command: F) -> F:
-    """Adds `--priority`, `--repeat`, `--after`, `--at`, `--missed` and `--hold`."""
+    """Add the options `--priority`, `--repeat`, `--after`, `--at`, `--missed` and `--hold`."""
     options = (
         click.option(
             "--priority", default=0, show_default=True, type=click.IntRange(-100, 100), help="Higher ones come first."
         ),
-        click.option("--repeat", default=1, show_default=True, type=click.IntRange(1, 10_000), help="Times to run it."),
+        click.option("--repeat", default=1, show_default=True, type=click.IntRange(1, 10_000), help="Number of runs."),
         click.option("--after", default=None, metavar="JOB", help="Begin when JOB is done; never if it fails."),
         click.option("--at", default=None, type=Instant(), help="Not before this time: RFC 3339, or local time."),
         click.option(
@@ -88,40 +88,40 @@ def terms_options(command: F) -> F:
             default="skip",
             show_default=True,
             type=click.Choice(["run", "skip"]),
-            help="What becomes of it if no coordinator is there at its time.",
+            help="What to do if no coordinator leads at that time.",
         ),
-        click.option("--hold", "held", is_flag=True, help="Let it wait until `tutti job release`."),
+        click.option("--hold", "held", is_flag=True, help="Hold it until `tutti job release`."),
     )
     for option in reversed(options):
         command = option(command)
     return command
 
 
-def make_terms(options: TermsOptions) -> "Terms":
-    """The options as the service takes them."""
-    from orchestrator.model.queue import Terms
+def make_terms(options: TermsOptions) -> "QueueTerms":
+    """Convert the options to the model of the service."""
+    from orchestrator.model.queue import QueueTerms
 
     at = options["at"]
-    return Terms.model_validate({**options, "at": None if at is None else at.isoformat()})
+    return QueueTerms.model_validate({**options, "at": None if at is None else at.isoformat()})
 
 
 def tell_accepted(entry: "QueueEntry") -> None:
-    """Say that a job is in the queue, and when it begins if it has a time."""
+    """Print that a job is queued, and when it begins if it has a time."""
     console.print(f"job {entry.id} is accepted", highlight=False)
     for line in entry_lines(entry):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
 
 
 def entry_lines(entry: "QueueEntry") -> list[str]:
-    """What is special about a job's place in the queue, in lines."""
+    """Describe special queue terms of a job, in lines."""
     terms = entry.terms
     lines: list[str] = []
     if entry.origin is not None:
-        lines.append(f"does job {entry.origin} again, from step {entry.from_step} on")
+        lines.append(f"retries job {entry.origin}, from step {entry.from_step} on")
     if terms.at is not None:
         local = datetime.fromisoformat(terms.at).astimezone().isoformat(sep=" ", timespec="seconds")
         missed = "begins late" if terms.missed == "run" else "is skipped"
-        lines.append(f"at {local} ({terms.at}); {missed} if nobody reigns then")
+        lines.append(f"at {local} ({terms.at}); {missed} if no coordinator leads then")
     if terms.after is not None:
         lines.append(f"after job {terms.after}")
     if terms.repeat > 1:

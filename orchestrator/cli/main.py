@@ -13,36 +13,36 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("fleet", "Show every controller and axis."),
     "watch": ("watch", "Watch the fleet and the running job live."),
     "stop": ("fleet", "Stop all axes by their ramps."),
-    "estop": ("fleet", "Stop everything at once, and latch."),
+    "estop": ("fleet", "Stop everything immediately, and latch."),
     "reset": ("fleet", "Release the e-stop latch and clear faults."),
     "submit": ("job", "Submit a job (same as `job submit`)."),
     "job": ("job", "Submit, list, show, cancel jobs; read reports."),
-    "axis": ("axis", "Axes by hand: list, enable, home, jog, move."),
+    "axis": ("axis", "Manual operation: list, enable, home, jog, move."),
     "io": ("io", "Inputs and outputs by name."),
-    "fleet": ("fleet_file", "Check a fleet file; give it to the running fleet."),
-    "wiring": ("wiring", "Check the lines between controllers."),
-    "clock": ("clock", "How well the controllers' clocks are known."),
-    "raw": ("controller", "Send a line in a controller's own language."),
+    "fleet": ("fleet_file", "Check a fleet file; load it into the running fleet."),
+    "wiring": ("wiring", "Check the trigger wires between controllers."),
+    "clock": ("clock", "Show the estimates of the controllers' clocks."),
+    "raw": ("controller", "Send a command in a controller's own language."),
     "trace": ("controller", "Show the last bytes on a controller's link."),
     "schema": ("schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),
     "bench": ("bench", "Measure Tutti."),
-    "sim": ("sim", "Simulated controllers: check them; change their world."),
+    "sim": ("sim", "Simulated controllers: check and manipulate them."),
 }
 
 EPILOG = """\b
 Exit codes: 0 done; 1 it was refused or failed; 2 bad input (arguments, files);
-3 the bus, the fleet or the coordinator can not be reached; 130 interrupted.
+3 the bus, the fleet or the coordinator cannot be reached; 130 interrupted.
 
 \b
 Example:
-  tutti up deploy/examples/demo.fleet.yaml --sim
-  tutti submit deploy/examples/demo.job.yaml --wait
+tutti up deploy/examples/demo.fleet.yaml --sim
+tutti submit deploy/examples/demo.job.yaml --wait
 """
 
 
 class _Lazy(click.Group):
-    """Knows its commands by name and imports the one that is called."""
+    """Lists its commands by name and imports the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
@@ -57,7 +57,7 @@ class _Lazy(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            # While modules are still being imported; click alone would make it 1.
+            # An interrupt while modules are still being imported; click alone would make it 1.
             raise SystemExit(INTERRUPTED) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

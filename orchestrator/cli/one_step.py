@@ -1,4 +1,4 @@
-"""Things done by hand: a job of one step, so that it is leased, checked, recorded and stopped like any other."""
+"""Manual actions as jobs of one step, so that they are leased, checked, recorded and stopped like any other job."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from orchestrator.cli.common import console, fail, with_fleet
 
 
 def run_step(connect: str, fleet: str | None, step: dict[str, Any], done: str) -> None:
-    """Submit a job of one step, wait for it, and say `done` or why not. Exit 1 if it is not done."""
+    """Submit a job of one step, wait for it, and print `done` or its reason. Exit 1 if it is not done."""
     from pydantic import ValidationError
 
     from orchestrator.cli.follow import follow
@@ -15,7 +15,7 @@ def run_step(connect: str, fleet: str | None, step: dict[str, Any], done: str) -
     from orchestrator.model.job import Job
 
     try:
-        job = Job.model_validate({"schema": "tutti.job/1", "name": f"by hand: {step['do']}", "steps": [step]})
+        job = Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {step['do']}", "steps": [step]})
     except ValidationError as error:
         fail(str(error.errors()[0]["msg"]), BAD_INPUT)
 

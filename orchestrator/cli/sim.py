@@ -12,7 +12,7 @@ from orchestrator.cli.sim_world import limit, power, push, set_input, stall
 
 @click.group(epilog="Example: tutti sim input gantry.door active")
 def sim() -> None:
-    """Simulated controllers: check them against test vectors, and change the world around those that run."""
+    """Simulated controllers: check them against test vectors, and change the environment of running ones."""
 
 
 for command in (set_input, limit, power, push, stall, campaign):

@@ -1,4 +1,4 @@
-"""`tutti sim campaign`: fleets of all makes at work, broken at every stage of a step, in virtual time."""
+"""`tutti sim campaign`: fleets of all makes with faults at every stage of a step, in virtual time."""
 
 import os
 import statistics
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: tutti sim campaign --seeds 500 --json")
-@click.option("--seeds", default=100, show_default=True, type=click.IntRange(1), help="How many.")
-@click.option("--from", "first", default=0, show_default=True, type=click.IntRange(0), help="The first one.")
-@click.option("--seed", type=click.IntRange(0), help="Only this one, and its story.")
-@click.option("--trace", is_flag=True, help="With --seed: everything that was logged, too.")
+@click.option("--seeds", default=100, show_default=True, type=click.IntRange(1), help="Number of seeds.")
+@click.option("--from", "first", default=0, show_default=True, type=click.IntRange(0), help="First seed.")
+@click.option("--seed", type=click.IntRange(0), help="Run only this seed, and print its summary.")
+@click.option("--trace", is_flag=True, help="With --seed: also print the complete log.")
 @processes_option
 @json_option
 def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: int, as_json: bool) -> None:
-    """Let simulated fleets of random makes work, break something at three stages of their steps, mend it, and hold what
-    really moved to the invariants of the design. A seed plays exactly the same every time. Exit 1 when one violates an
-    invariant.
+    """Run simulated fleets of random makes, inject a fault at three stages of their steps, repair it, and check the
+    true motions against the invariants of the design. A seed is fully deterministic. Exit 1 when an invariant is
+    violated.
     """
     from orchestrator.campaign.runs import play_seed, run_campaign
 
@@ -36,7 +36,7 @@ def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: i
     def told(story: "Story") -> None:
         if story.violations and not as_json:
             _print(story.tell())
-            console.print(f"[bold]again:[/] tutti sim campaign --seed {story.seed} --trace")
+            console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed} --trace")
 
     began_s = _cpu_s()
     found = run_campaign(range(first, first + seeds), told, processes)
@@ -52,12 +52,12 @@ def campaign(seeds: int, first: int, seed: int | None, trace: bool, processes: i
 
 
 def _cpu_s() -> float:
-    """Seconds of one core that this process and those that it has waited for have used."""
+    """Return the core seconds used by this process and its finished child processes."""
     return sum(os.times()[:4])
 
 
 def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
-    """seeds_per_s: that a second of one core plays. controller_s_per_cpu_s: fleet time times controllers."""
+    """Return figures: seeds_per_s per core second; controller_s_per_cpu_s: fleet time times controllers."""
     return {
         "seeds": found.seeds,
         "violations": len(found.violations),
@@ -74,7 +74,7 @@ def _figures(found: "Campaign", cpu_s: float) -> dict[str, Any]:
 
 
 def _print_coverage(found: "Campaign") -> None:
-    """For each fault, and each make that it befell, how often at which stage."""
+    """Print the number of hits by fault, affected make, and stage."""
     from orchestrator.campaign.faults import FAULTS
     from orchestrator.campaign.fleets import MAKES
     from orchestrator.campaign.recorder import STAGES

@@ -1,4 +1,4 @@
-"""`tutti sim input|limit|power|push|stall`: what happens around simulated controllers that `tutti up --sim` runs."""
+"""`tutti sim input|limit|power|push|stall`: the environment of the simulated controllers of `tutti up --sim`."""
 
 import json
 import os
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from orchestrator.model.fleet import Axis, Controller, Fleet
 
 _state = click.option(
-    "--state", type=click.Path(path_type=Path), default=None, help="The folder that `tutti up` was given as --state."
+    "--state", type=click.Path(path_type=Path), default=None, help="The folder given to `tutti up` as --state."
 )
 _fleet = click.option("--fleet", envvar="TUTTI_FLEET", default=None, help="The fleet, if several are simulated.")
 
@@ -38,7 +38,7 @@ def set_input(name: str, to: str, fleet: str | None, state: Path | None) -> None
 @_fleet
 @_state
 def limit(name: str, which: str, fleet: str | None, state: Path | None) -> None:
-    """Press the limit switches of a simulated axis, or let them go (`none`)."""
+    """Press the limit switches of a simulated axis, or release them (`none`)."""
     folder, controller, axis = _axis(name, fleet, state)
     _tell(folder, controller, {"limit": [axis.motors[0], which]})
 
@@ -62,7 +62,7 @@ def power(controller: str, to: str, fleet: str | None, state: Path | None) -> No
 @_fleet
 @_state
 def push(name: str, distance: float, fleet: str | None, state: Path | None) -> None:
-    """Move a simulated axis whose motor is off by hand: by DISTANCE in its unit."""
+    """Push a simulated axis with a disabled motor by DISTANCE in its unit."""
     folder, controller, axis = _axis(name, fleet, state)
     _tell(folder, controller, {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]})
 
@@ -73,13 +73,13 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None) -> N
 @_fleet
 @_state
 def stall(name: str, to: str, fleet: str | None, state: Path | None) -> None:
-    """Hold a simulated axis, so that it does not follow its command; or let it go."""
+    """Stall a simulated axis, so that it does not follow its command (`on`); or free it (`off`)."""
     folder, controller, axis = _axis(name, fleet, state)
     _tell(folder, controller, {"stall": [axis.motors[0], to == "on"]})
 
 
 def _running(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
-    """State folder and controllers of the simulated fleet that is meant."""
+    """Return state folder and controllers of the selected simulated fleet."""
     from orchestrator.cli.up import default_state
     from orchestrator.model.files import FileError, load_fleet
 
@@ -88,8 +88,8 @@ def _running(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Co
         folders = [base / fleet] if fleet else sorted(path.parent for path in base.glob("*/world"))
         if len(folders) != 1:
             found = ", ".join(folder.name for folder in folders)
-            text = f"several fleets have been simulated: {found}" if found else f"no fleet is simulated below {base}"
-            fail(text, UNREACHABLE, "say which with --fleet or --state, or start one: `tutti up FILE --sim`")
+            text = f"several fleets have been simulated: {found}" if found else f"no simulated fleet below {base}"
+            fail(text, UNREACHABLE, "choose one with --fleet or --state, or start one: `tutti up FILE --sim`")
         state = folders[0]
     try:
         loaded: Fleet = load_fleet(state / "fleet.json")

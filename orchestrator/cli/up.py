@@ -1,4 +1,4 @@
-"""`tutti up`: a whole fleet on this machine."""
+"""`tutti up`: a complete fleet on this machine."""
 
 import asyncio
 import os
@@ -11,8 +11,8 @@ from orchestrator.cli.codes import FAILED, INTERRUPTED
 from orchestrator.cli.common import console, run
 
 ORDINARY = (
-    "this user may not run real-time processes, so stops and starts may be late when the machine is busy; "
-    "give it CAP_SYS_NICE, or an rtprio limit of 4 (`LimitRTPRIO=4` in a systemd unit)"
+    "this user has no permission for real-time processes, so stops and starts may be late when the "
+    "machine is busy; grant CAP_SYS_NICE, or an rtprio limit of 4 (`LimitRTPRIO=4` in a systemd unit)"
 )
 
 
@@ -32,9 +32,9 @@ Exit codes: 0 ended by Ctrl-C or SIGTERM; 130 the same before the fleet was up;
 @click.option("--connect", default="", help="Use the router (zenohd) at `tcp/HOST:PORT` instead of starting one.")
 @click.option("--port", default=7447, show_default=True, help="Port of the router that is started, on 127.0.0.1.")
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="Folder for journal, latches and logs.")
-@click.option("--take-over", is_flag=True, help="Reign although another coordinator does.")
+@click.option("--take-over", is_flag=True, help="Lead the fleet although another coordinator does.")
 @click.option("--standby", is_flag=True, help="A second coordinator takes over within 2 s when one dies or hangs.")
-@click.option("--truth", is_flag=True, help="Simulators write what really moved, and when, to STATE/truth.")
+@click.option("--truth", is_flag=True, help="Simulators record true motions, with times, in STATE/truth.")
 def up(
     file: Path,
     simulated: bool,
@@ -45,9 +45,9 @@ def up(
     standby: bool,
     truth: bool,
 ) -> None:
-    """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends it all.
+    """Start router, adapter hosts, coordinator (and simulators) for the fleet in FILE. Ctrl-C ends them all.
 
-    Ctrl-C stops the running job first; a process that dies is started again.
+    Ctrl-C stops the running job first; a process that dies is restarted.
     """
     from orchestrator.clock.realtime import Urgency, hurry
     from orchestrator.runtime.checked import load_checked_fleet
@@ -67,7 +67,7 @@ def up(
         ended = loop.create_task(end.wait())
         await asyncio.wait([starting, ended], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
-            _say("interrupted while starting; ending what was started")
+            _say("interrupted while starting; ending the started processes")
             starting.cancel()
             await asyncio.wait([starting])
             raise SystemExit(INTERRUPTED)
@@ -84,7 +84,7 @@ def up(
 
 
 def default_state(fleet: str) -> Path:
-    """`$XDG_STATE_HOME/tutti/FLEET`, or below `~/.local/state`."""
+    """Return `$XDG_STATE_HOME/tutti/FLEET`, or below `~/.local/state`."""
     base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     return Path(base) / "tutti" / fleet
 

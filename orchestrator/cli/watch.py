@@ -7,7 +7,7 @@ from orchestrator.cli.common import console, fleet_options, with_fleet
 REFRESH_HZ = 10
 
 
-@click.command(epilog="Example: tutti watch   (Ctrl-C ends it; nothing else happens)")
+@click.command(epilog="Example: tutti watch   (Ctrl-C ends only the display)")
 @fleet_options
 def watch(connect: str, fleet: str | None) -> None:
     """Watch axes, events and the running job. Prints plain lines when the output is not a terminal."""
@@ -18,7 +18,7 @@ def watch(connect: str, fleet: str | None) -> None:
 
     async def act(tutti: Tutti) -> None:
         view = LiveView(tutti.keys)
-        async with tutti.samples(*view.expressions) as samples:
+        async with tutti.subscribe_samples(*view.expressions) as samples:
             view.states = await tutti.status()
             if not console.is_terminal:
                 while True:

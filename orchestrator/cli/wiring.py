@@ -1,4 +1,4 @@
-"""`tutti wiring …`: the lines between controllers."""
+"""`tutti wiring …`: the trigger wires between controllers."""
 
 import json
 
@@ -10,16 +10,16 @@ from orchestrator.cli.common import console, fleet_options, with_fleet
 
 @click.group(epilog="Example: tutti wiring check")
 def wiring() -> None:
-    """The lines from outputs of controllers to inputs of others that can start moves."""
+    """Trigger wires from outputs of controllers to inputs of others, which can start moves."""
 
 
 @wiring.command(epilog="Example: tutti wiring check")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 @fleet_options
 def check(as_json: bool, connect: str, fleet: str | None) -> None:
-    """See whether every wire of the fleet file is there: switch its output, and read all inputs.
+    """Check every wire of the fleet file: switch its output, and read all inputs.
 
-    Nothing moves; all axes of the controllers that are wired are in hand meanwhile. Exit 1 when a wire is wrong.
+    Nothing moves; all axes of the wired controllers are acquired meanwhile. Exit 1 when a wire is wrong.
     """
     from orchestrator.client import Tutti
     from orchestrator.monitor.tables import plain_table

@@ -8,7 +8,7 @@ from orchestrator.model.state import ClockReply
 ANSWER_S = 2.0
 
 
-async def clocks(tutti: Tutti) -> dict[str, ClockReply]:
+async def query_clocks(tutti: Tutti) -> dict[str, ClockReply]:
     """By controller; one whose adapter does not answer, or can not be understood, is not there."""
     replies = await tutti.bus.request_all(tutti.keys.clock(), b"", timeout_s=ANSWER_S)
     found: dict[str, ClockReply] = {}

@@ -1,28 +1,206 @@
-"""A job that was submitted: follow it, have its result, act on it."""
+"""Requests about jobs, and a submitted job that can be followed."""
 
 import asyncio
-from collections.abc import AsyncGenerator
-from typing import TYPE_CHECKING, Self
+from collections.abc import AsyncGenerator, Callable
+from typing import Any, Self
 
 from orchestrator.bus.base import Sample
-from orchestrator.model.report import ENDED, JobReport, Progress, Transition
-from orchestrator.model.service import JobShown
+from orchestrator.client.connection import FleetConnection
+from orchestrator.model.errors import Refusal
+from orchestrator.model.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.messages import Reply
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import (
+    FINISHED_STATES,
+    JobProgress,
+    JobReport,
+    JobState,
+    JobTransition,
+    QueueEntry,
+    QueueState,
+    StepRecording,
+)
+from orchestrator.model.service import (
+    JobReference,
+    JobReferences,
+    JobRetried,
+    JobShown,
+    JobsPruned,
+    JobSubmitted,
+    ListJobs,
+    PauseJob,
+    PruneJobs,
+    RecordingReference,
+    RecordingReply,
+    ReorderJob,
+    RetryJob,
+    SubmitJob,
+)
 
-if TYPE_CHECKING:
-    from orchestrator.client.api import Tutti
+POLL_S = 1.0  # period of reading the journal while the bus is silent
+DRY_RUN_S = 30.0
+PRUNE_S = 60.0
 
-LOOK_S = 1.0  # how often the journal is read while the bus is silent
+
+class JobRequests(FleetConnection):
+    """Submit jobs, follow them, and change the queue."""
+
+    async def submit(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> "SubmittedJob":
+        """Submit a job; it is in the journal when this returns. Raises `Refusal`.
+
+        job: without an actor it gets the actor of this connection. client_key: the same key is the same job, however
+        often it is submitted. terms: priority, repeats, predecessor and start time.
+        """
+        return self.job((await self.enqueue_job(job, client_key, terms)).id)
+
+    def job(self, job_id: str) -> "SubmittedJob":
+        """A job by its id, to follow it."""
+        return SubmittedJob(job_id, self)
+
+    async def enqueue_job(self, job: Job, client_key: str | None = None, terms: QueueTerms | None = None) -> QueueEntry:
+        """Submit a job and return its place in the queue. Raises `Refusal`."""
+        if job.actor == UNKNOWN_ACTOR:
+            job = job.model_copy(update={"actor": self.actor})
+        request = SubmitJob(
+            **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
+        )
+        entry = (await self.request_service("submit", request, JobSubmitted)).entry
+        assert entry is not None
+        return entry
+
+    async def dry_run(self, job: Job) -> dict[str, Any]:
+        """Plan each motion step from the present positions, without moving. Raises `Refusal`."""
+        request = SubmitJob(**self.request_fields(), job=job, client_key=self.new_id(), dry_run=True)
+        return (await self.request_service("submit", request, JobSubmitted, DRY_RUN_S)).dry_run or {}
+
+    async def list_jobs(
+        self, limit: int = 50, state: JobState | None = None, name: str = "", since: str | None = None
+    ) -> QueueState:
+        """The newest jobs, newest first; `total` is the number of all that match. Raises `Refusal`.
+
+        state: only jobs in it. name: only jobs with this text in their name. since: only jobs submitted at this RFC
+        3339 time or later.
+        """
+        request = ListJobs(**self.request_fields(), limit=limit, state=state, name=name, since=since)
+        return await self.request_service("list", request, QueueState)
+
+    async def show_job(self, job_id: str) -> JobShown:
+        """All that the journal has of a job. Raises `Refusal`."""
+        return await self.request_service("show", JobReference(**self.request_fields(), job_id=job_id), JobShown)
+
+    async def show_job_when_available(self, job_id: str, poll_s: float = 0.5) -> JobShown:
+        """`show_job`, repeated while the coordinator is away. Raises `Refusal` for a job that does not exist."""
+        while True:
+            try:
+                return await self.show_job(job_id)
+            except Refusal as error:
+                if error.code not in ("no-coordinator", "no-answer"):
+                    raise
+            await asyncio.sleep(poll_s)
+
+    async def load_recording(self, job_id: str, step: int) -> StepRecording | None:
+        """The plan and the polled samples of a motion step; None if there is no recording."""
+        request = RecordingReference(**self.request_fields(), job_id=job_id, step=step)
+        return (await self.request_service("recording", request, RecordingReply)).recording
+
+    async def cancel_job(self, job_id: str) -> None:
+        """Cancel a queued or running job. Raises `Refusal`."""
+        await self.request_service("cancel", JobReference(**self.request_fields(), job_id=job_id), Reply)
+
+    async def hold_jobs(self, *job_ids: str) -> None:
+        """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
+        await self.request_service("hold", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
+
+    async def release_jobs(self, *job_ids: str) -> None:
+        """Release held jobs; without ids, all held jobs. Raises `Refusal`."""
+        await self.request_service("release", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
+
+    async def reorder_job(self, job_id: str, before: str) -> None:
+        """Move a queued job before another one, with that one's priority. Raises `Refusal`: code `not-queued`."""
+        await self.request_service("reorder", ReorderJob(**self.request_fields(), job_id=job_id, before=before), Reply)
+
+    async def pause_job(self, job_id: str, *, now: bool = False) -> None:
+        """Pause a running job after its current step; it keeps its axes. Raises `Refusal`: code `not-running`.
+
+        now: pause inside a motion step by a feed hold; the axes brake together, and `resume_job` continues from there.
+        """
+        await self.request_service("pause", PauseJob(**self.request_fields(), job_id=job_id, now=now), Reply)
+
+    async def resume_job(self, job_id: str) -> None:
+        """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
+        await self.request_service("resume", JobReference(**self.request_fields(), job_id=job_id), Reply)
+
+    async def retry_job(
+        self,
+        job_id: str,
+        from_step: int = 0,
+        *,
+        dry_run: bool = False,
+        terms: QueueTerms | None = None,
+        client_key: str | None = None,
+    ) -> JobRetried:
+        """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
+
+        dry_run: only report the remaining steps and the present positions of their axes.
+        """
+        request = RetryJob(
+            **self.request_fields(),
+            job_id=job_id,
+            from_step=from_step,
+            dry_run=dry_run,
+            terms=terms,
+            client_key=client_key or self.new_id(),
+        )
+        return await self.request_service("retry", request, JobRetried)
+
+    async def prune_jobs(self, older_s: float, keep: int) -> int:
+        """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
+        many."""
+        request = PruneJobs(**self.request_fields(), older_s=older_s, keep=keep)
+        return (await self.request_service("prune", request, JobsPruned, PRUNE_S)).jobs
+
+    async def wait_for_job(
+        self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
+    ) -> JobReport:
+        """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
+        the bus.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        changed = asyncio.Event()
+
+        def receive_progress(sample: Sample) -> None:
+            progress = JobProgress.model_validate_json(sample.payload)
+            if on_progress is not None:
+                on_progress(progress)
+            if progress.state in FINISHED_STATES:
+                changed.set()
+
+        subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
+        try:
+            while True:
+                report = (await self.show_job_when_available(job_id, poll_s)).report
+                if report is not None:
+                    return report
+                changed.clear()
+                try:
+                    async with asyncio.timeout(poll_s):
+                        await changed.wait()
+                except TimeoutError:
+                    continue
+        finally:
+            await subscription.undeclare()
 
 
 class SubmittedJob(str):
-    """The id of a job, by which it can be followed; as text it can be written down and given to other processes,
-    which get the same from `tutti.job(id)`."""
+    """The id of a job, with methods to follow it. As text it can be stored and passed to other processes, which get
+    the same object from `tutti.job(id)`."""
 
-    _tutti: "Tutti"
+    _requests: JobRequests
 
-    def __new__(cls, job_id: str, tutti: "Tutti") -> Self:
+    def __new__(cls, job_id: str, requests: JobRequests) -> Self:
         job = super().__new__(cls, job_id)
-        job._tutti = tutti
+        job._requests = requests
         return job
 
     @property
@@ -30,66 +208,67 @@ class SubmittedJob(str):
         """The id as plain text."""
         return str(self)
 
-    async def events(self) -> AsyncGenerator[Transition | Progress]:
-        """Every change of its state from the beginning on, each once, by the journal; and its progress in between, as
-        the bus has it. Ends with the job. Raises `Refused` for a job that does not exist.
+    async def events(self) -> AsyncGenerator[JobTransition | JobProgress]:
+        """All transitions from the beginning on, each once, from the journal, and progress in between from the bus.
 
-        A coordinator that is away meanwhile is waited for.
+        Ends with the job. Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
-        told = 0
-        heard: asyncio.Queue[Sample] = asyncio.Queue()
-        subscription = await self._tutti.bus.subscribe(self._tutti.keys.job_state(self), heard.put_nowait)
+        delivered = 0
+        samples: asyncio.Queue[Sample] = asyncio.Queue()
+        requests = self._requests
+        subscription = await requests.bus.subscribe(requests.keys.job_state(self), samples.put_nowait)
         try:
-            progress: Progress | None = None
+            progress: JobProgress | None = None
             while True:
-                changes = (await self._tutti.show_when_there(self)).transitions
-                for change in changes[told:]:
-                    yield change
-                    if change.state in ENDED:
+                transitions = (await requests.show_job_when_available(self)).transitions
+                for transition in transitions[delivered:]:
+                    yield transition
+                    if transition.state in FINISHED_STATES:
                         return
-                told = len(changes)
-                if progress is not None and progress.state not in ENDED:
+                delivered = len(transitions)
+                if progress is not None and progress.state not in FINISHED_STATES:
                     yield progress
-                progress = await self._next(heard)
+                progress = await _next_progress(samples)
         finally:
             await subscription.undeclare()
 
     async def result(self) -> JobReport:
-        """Its report, once it has ended. Raises `Refused` for a job that does not exist."""
-        return await self._tutti.wait(self)
+        """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
+        return await self._requests.wait_for_job(self)
 
     async def show(self) -> JobShown:
-        """Everything the journal has of it. Raises `Refused`."""
-        return await self._tutti.show(self)
+        """All that the journal has of the job. Raises `Refusal`."""
+        return await self._requests.show_job(self)
 
     async def cancel(self) -> None:
-        """Cancel it, queued or running. Raises `Refused`."""
-        await self._tutti.cancel(self)
+        """Cancel the job, queued or running. Raises `Refusal`."""
+        await self._requests.cancel_job(self)
 
     async def hold(self) -> None:
-        """Keep it from beginning. Raises `Refused`: code `not-queued`."""
-        await self._tutti.hold(self)
+        """Hold the queued job until it is released. Raises `Refusal`: code `not-queued`."""
+        await self._requests.hold_jobs(self)
 
     async def release(self) -> None:
-        """Let it begin when it is its turn. Raises `Refused`."""
-        await self._tutti.release(self)
+        """Release the held job. Raises `Refusal`."""
+        await self._requests.release_jobs(self)
 
-    async def pause(self, now: bool = False) -> None:
-        """Hold it when its present step has ended, or `now` inside a motion step; it keeps its axes. Raises `Refused`:
-        `not-running`."""
-        await self._tutti.pause(self, now)
+    async def pause(self, *, now: bool = False) -> None:
+        """Pause the job after its current step, or `now` inside a motion step; it keeps its axes. Raises `Refusal`:
+        code `not-running`."""
+        await self._requests.pause_job(self, now=now)
 
     async def resume(self) -> None:
-        """Go on with it. Raises `Refused`: codes `not-running`, `not-paused`."""
-        await self._tutti.resume(self)
+        """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
+        await self._requests.resume_job(self)
 
-    async def _next(self, heard: "asyncio.Queue[Sample]") -> Progress | None:
-        """The newest progress that the bus has; None after a while without."""
-        try:
-            async with asyncio.timeout(LOOK_S):
-                sample = await heard.get()
-        except TimeoutError:
-            return None
-        while not heard.empty():
-            sample = heard.get_nowait()
-        return Progress.model_validate_json(sample.payload)
+
+async def _next_progress(samples: "asyncio.Queue[Sample]") -> JobProgress | None:
+    """The newest progress on the bus; None after a while without."""
+    try:
+        async with asyncio.timeout(POLL_S):
+            sample = await samples.get()
+    except TimeoutError:
+        return None
+    while not samples.empty():
+        sample = samples.get_nowait()
+    return JobProgress.model_validate_json(sample.payload)

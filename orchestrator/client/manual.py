@@ -1,187 +1,199 @@
-"""Axes in hand: taken, jogged, given back.
+"""Manual control: axes acquired, jogged, released.
 
-async with tutti.by_hand(["gantry.x"], what="alignment") as hand:
-    await hand.jog({"gantry.x": 5.0})       # mm/s, for 200 ms
+async with tutti.manual_control(["gantry.x"], what="alignment") as manual:
+    await manual.jog({"gantry.x": 5.0})     # mm/s, for 200 ms
     for _ in range(10):
         await asyncio.sleep(0.05)
-        await hand.renew()                  # silence stops the axis, in its adapter
-    await hand.stop()
+        await manual.renew_jog()            # without renewal the adapter stops the axis
+    await manual.stop()
 """
 
 import asyncio
 import contextlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass
+from typing import Self
 
-from orchestrator.client.api import Refused
-from orchestrator.model.fleet import by_controller
-from orchestrator.model.messages import JogRequest, Refusal, Reply
-from orchestrator.model.service import GiveBack, Take, Taken
+from orchestrator.client.connection import FleetConnection
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.messages import JogRequest, Reply
+from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
-if TYPE_CHECKING:
-    from orchestrator.client.api import Tutti
+VALID_MS = 200  # maximum validity of a jog
+ANSWER_S = 0.5  # a later answer is useless: the axis has stopped by itself long before
+JOG_TIMEOUT_S = 2.0  # for a new velocity: on a slow line it may take more than half a second
+RENEW_S = 0.06  # between renewals of a request that is still on its way
+RENEWALS_PER_LEASE = 3  # per lifetime of a lease
 
-VALID_MS = 200  # what a jog is good for, at most
-ANSWER_S = 0.5  # an answer that takes longer is of no use: the axis has stopped by itself long before
-ORDER_S = 2.0  # for an order: of a slow line it may take more than half a second
-RENEW_S = 0.06  # between renewals of an order that is still on its way
-RENEWALS = 3  # in a lease's life
-
-_NOT_OURS = ("not-leased", "leased")
+_LEASE_OVER = ("not-leased", "leased")
 
 
-class Hand:
-    """The lease of `axes` (axes, groups, controllers) and what is moved by it. Made by `Tutti.by_hand`.
+@dataclass(frozen=True, slots=True)
+class _JogOrder:
+    """Velocities by axis (unit/s), whether they renew earlier ones, and their validity and timeout."""
 
-    axes: what is held, as `controller.axis`; whole controllers where their axes can not be told apart. lost: why the
-    lease ended before it was given back (a permit, a stop, a coordinator that is gone); then nothing moves any more,
-    and only another `by_hand` takes the axes again.
+    velocities: Mapping[str, float]
+    renew: bool = False
+    valid_ms: int = VALID_MS
+    timeout_s: float = ANSWER_S
+
+
+class ManualControl:
+    """The lease of `axes` (axes, groups, controllers) and the motion under it. Made by `Tutti.manual_control`.
+
+    axes: the leased axes, as `controller.axis`; whole controllers where their axes cannot be leased separately. lost:
+    why the lease ended before it was released (a permit, a stop, a coordinator that is gone); then nothing moves any
+    more, and only another `manual_control` acquires the axes again.
     """
 
-    def __init__(self, tutti: "Tutti", axes: Sequence[str], what: str, ttl_s: float) -> None:
+    def __init__(self, connection: FleetConnection, axes: Sequence[str], what: str, ttl_s: float) -> None:
         self.axes: list[str] = []
         self.lost: Refusal | None = None
-        self.holder = f"hand-{tutti.new_id()}"
-        self._tutti = tutti
+        self.holder = f"manual-{connection.new_id()}"
+        self._connection = connection
         self._wanted = list(axes)
         self._what = what
         self._ttl_s = ttl_s
         self._seq = 0
         self._velocities: dict[str, float] = {}
-        self._keeper: asyncio.Task[None] | None = None
+        self._renewal: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        await self.take()
+        await self.acquire()
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self.give_back()
+        await self.release()
 
     # The lease
 
-    async def take(self) -> None:
-        """Take the axes and hold them. Raises `Refused`: codes `leased`, `permit`, `no-coordinator`."""
-        await self._take(self._ttl_s)
-        self._keeper = asyncio.get_running_loop().create_task(self._keep())
+    async def acquire(self) -> None:
+        """Acquire the axes and keep the lease renewed. Raises `Refusal`: codes `leased`, `permit`,
+        `no-coordinator`."""
+        await self._acquire(self._ttl_s)
+        self._renewal = asyncio.get_running_loop().create_task(self._renew_lease())
 
-    async def give_back(self) -> None:
-        """Stop what still moves and give the axes back. Refuses nothing: a lease that nobody renews ends by itself."""
-        self._keep_no_longer()
-        with contextlib.suppress(Refused):
+    async def release(self) -> None:
+        """Stop what still moves and release the axes. Raises nothing: a lease that is not renewed ends by itself."""
+        self._end_renewal()
+        with contextlib.suppress(Refusal):
             await self.stop()
-        with contextlib.suppress(Refused):
-            request = GiveBack(**self._tutti.fields(), holder=self.holder)
-            await self._tutti.service("release", request, Reply, self._ttl_s)
+        with contextlib.suppress(Refusal):
+            request = ReleaseAxes(**self._connection.request_fields(), holder=self.holder)
+            await self._connection.request_service("release-axes", request, Reply, self._ttl_s)
 
-    async def _take(self, timeout_s: float) -> None:
-        request = Take(
-            **self._tutti.fields(), axes=self._wanted, holder=self.holder, what=self._what, ttl_s=self._ttl_s
+    async def _acquire(self, timeout_s: float) -> None:
+        request = AcquireAxes(
+            **self._connection.request_fields(),
+            axes=self._wanted,
+            holder=self.holder,
+            what=self._what,
+            ttl_s=self._ttl_s,
         )
-        self.axes = (await self._tutti.service("take", request, Taken, timeout_s)).axes
+        self.axes = (await self._connection.request_service("acquire-axes", request, AxesAcquired, timeout_s)).axes
 
-    async def _keep(self) -> None:
-        """Renew the lease well within its life, until it is refused."""
-        pause_s = self._ttl_s / RENEWALS
+    async def _renew_lease(self) -> None:
+        """Renew the lease well within its lifetime, until it is refused."""
+        pause_s = self._ttl_s / RENEWALS_PER_LEASE
         while True:
             await asyncio.sleep(pause_s)
             try:
-                await self._take(self._ttl_s - pause_s)
-            except Refused as error:
-                self.lost = error.refusal
+                await self._acquire(self._ttl_s - pause_s)
+            except Refusal as error:
+                self.lost = error
                 return
 
-    def _keep_no_longer(self) -> None:
-        if self._keeper is not None:
-            self._keeper.cancel()
-            self._keeper = None
+    def _end_renewal(self) -> None:
+        if self._renewal is not None:
+            self._renewal.cancel()
+            self._renewal = None
 
     # Motion
 
     async def jog(self, velocities: Mapping[str, float], valid_ms: int = VALID_MS) -> None:
         """Move each `controller.axis` at a velocity (its unit/s, user's direction) for `valid_ms`; 0 stops it.
 
-        At most 200 ms, unless it is renewed. Returns when all controllers have taken it, and renews it until then; one
-        that refuses stops the others. Raises `Refused`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
-        `not-enabled`, and what else the adapter has against it.
+        At most 200 ms, unless it is renewed. Returns when all controllers have accepted it, and renews it until then;
+        one that refuses stops the others. Raises `Refusal`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
+        `not-enabled`, and others of the adapter.
         """
         self._velocities.update(velocities)
-        await self._told(velocities, renew=False, valid_ms=valid_ms, timeout_s=ORDER_S)
+        await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
 
-    async def renew(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
-        """Go on for `valid_ms` from now with all that moves, at the velocities asked for last, or at new ones (unit/s).
+    async def renew_jog(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
+        """Continue all motion for `valid_ms` from now, at the last velocities, or at new ones (unit/s).
 
-        Raises `Refused`: code `not-jogging` for an axis that somebody has stopped meanwhile, or that fell silent.
+        Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
-        anew = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
+        changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
-        await self._told(moving, renew=True, valid_ms=valid_ms, timeout_s=ORDER_S if anew else ANSWER_S)
+        await self._send_velocities(_JogOrder(moving, True, valid_ms, JOG_TIMEOUT_S if changed else ANSWER_S))
 
     async def stop(self) -> None:
-        """Stop by their ramps all axes that it has set in motion. Raises `Refused` if a controller does not answer."""
+        """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
+        answer."""
         begun = dict.fromkeys(self._velocities, 0.0)
         self._velocities.clear()
-        for error in await asyncio.gather(
-            *self._asked(begun, renew=False, valid_ms=VALID_MS, timeout_s=ANSWER_S), return_exceptions=True
-        ):
-            # What a holder moves is stopped when its lease ends: there is nothing left to stop.
-            if error is not None and not (isinstance(error, Refused) and error.refusal.code in _NOT_OURS):
+        for error in await asyncio.gather(*self._start_requests(_JogOrder(begun)), return_exceptions=True):
+            # The end of a lease stops its motion, so there is nothing left to stop.
+            if error is not None and not (isinstance(error, Refusal) and error.code in _LEASE_OVER):
                 raise error
 
-    async def _told(self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float) -> None:
-        """Tell controllers, and renew it until they have answered: an order may take longer than it is good for."""
-        telling = asyncio.get_running_loop().create_task(self._ask_all(velocities, renew, valid_ms, timeout_s))
+    async def _send_velocities(self, order: _JogOrder) -> None:
+        """Send velocities, and renew them until all controllers have answered: that may take longer than their
+        validity."""
+        sending = asyncio.get_running_loop().create_task(self._request_jogs(order))
         renewing: list[asyncio.Task[None]] = []
         try:
-            while not (await asyncio.wait([telling], timeout=RENEW_S))[0]:
-                # Not what was stopped or asked for anew meanwhile. What is wrong with it the order itself is told.
-                moving = {axis: v for axis, v in velocities.items() if v and self._velocities.get(axis) == v}
-                renewing += self._asked(moving, renew=True, valid_ms=valid_ms, timeout_s=ANSWER_S)
-            telling.result()
+            while not (await asyncio.wait([sending], timeout=RENEW_S))[0]:
+                # Not those that have been stopped or changed meanwhile. Refusals are reported by the order itself.
+                moving = {axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v}
+                renewing += self._start_requests(_JogOrder(moving, True, order.valid_ms))
+            sending.result()
         finally:
-            telling.cancel()
+            sending.cancel()
             for task in renewing:
                 task.cancel()
                 task.add_done_callback(lambda done: done.cancelled() or done.exception())
 
-    async def _ask_all(self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float) -> None:
+    async def _request_jogs(self, order: _JogOrder) -> None:
         if self.lost is not None:
-            raise Refused(self.lost)
-        asked = self._asked(velocities, renew, valid_ms, timeout_s)
-        refused = [error for error in await asyncio.gather(*asked, return_exceptions=True) if error is not None]
+            raise self.lost
+        requests = self._start_requests(order)
+        refused = [error for error in await asyncio.gather(*requests, return_exceptions=True) if error is not None]
         if not refused:
             return
-        if len(asked) > 1:
-            with contextlib.suppress(Refused):
+        if len(requests) > 1:
+            with contextlib.suppress(Refusal):
                 await self.stop()
         for error in refused:
-            if isinstance(error, Refused) and error.refusal.code == "not-leased":
-                self._keep_no_longer()
-                self.lost = self.lost or error.refusal
+            if isinstance(error, Refusal) and error.code == "not-leased":
+                self._end_renewal()
+                self.lost = self.lost or error
         raise refused[0]
 
-    def _asked(
-        self, velocities: Mapping[str, float], renew: bool, valid_ms: int, timeout_s: float
-    ) -> "list[asyncio.Task[None]]":
-        """One request a controller, all on their way. Numbered here: an older one that comes late is refused."""
+    def _start_requests(self, order: _JogOrder) -> "list[asyncio.Task[None]]":
+        """Start one request per controller. Their number increases: an older one that arrives late is refused."""
         self._seq += 1
         return [
             asyncio.get_running_loop().create_task(
-                self._ask(
+                self._request_jog(
                     controller,
                     JogRequest(
-                        **self._tutti.fields(),
+                        **self._connection.request_fields(),
                         holder=self.holder,
                         seq=self._seq,
-                        velocities={name: velocities[f"{controller}.{name}"] for name in names},
-                        renew=renew,
-                        valid_ms=valid_ms,
+                        velocities={name: order.velocities[f"{controller}.{name}"] for name in names},
+                        renew=order.renew,
+                        valid_ms=order.valid_ms,
                     ),
-                    timeout_s,
+                    order.timeout_s,
                 )
             )
-            for controller, names in by_controller(velocities).items()
+            for controller, names in group_by_controller(order.velocities).items()
         ]
 
-    async def _ask(self, controller: str, request: JogRequest, timeout_s: float) -> None:
-        await self._tutti.command(controller, "jog", request, Reply, timeout_s)
+    async def _request_jog(self, controller: str, request: JogRequest, timeout_s: float) -> None:
+        await self._connection.request_controller(controller, "jog", request, Reply, timeout_s)

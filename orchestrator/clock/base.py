@@ -1,7 +1,7 @@
-"""What a clock is. Nothing in Tutti reads a clock or sleeps by itself: it is handed a `Clock`.
+"""The contract of a clock. No part of Tutti reads a clock or sleeps by itself: it gets a `Clock` as an argument.
 
-Instants are `int` nanoseconds on the clock's own scale (live: `CLOCK_MONOTONIC_RAW`, which no clock
-daemon slews or steps; virtual: from 0). UTC appears only as RFC 3339 text, for people and logs.
+Instants are `int` nanoseconds on the clock's own scale (live: `CLOCK_MONOTONIC_RAW`, which no clock daemon slews or
+steps; virtual: from 0). UTC appears only as RFC 3339 text, for people and logs.
 """
 
 import asyncio
@@ -14,33 +14,33 @@ NS_PER_US = 1_000
 
 
 class Timer(Protocol):
-    """A call that is still to come."""
+    """A scheduled call that has not been made yet."""
 
     def cancel(self) -> None:
-        """Forget the call. Does nothing when it has been made or cancelled already."""
+        """Cancel the call. Does nothing when it has been made or cancelled already."""
         ...
 
 
 class Clock(Protocol):
-    """Tells the time and calls back at an instant."""
+    """Returns the time and calls back at an instant."""
 
     @property
     def kernel_id(self) -> str:
-        """Names the time scale: two clocks with one `kernel_id` agree exactly."""
+        """Identifies the time scale: two clocks with one `kernel_id` agree exactly."""
         ...
 
     def now_ns(self) -> int:
-        """The present instant, in nanoseconds on this clock's scale."""
+        """The current instant, in nanoseconds on this clock's scale."""
         ...
 
     def utc(self) -> str:
-        """The present instant as RFC 3339 UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
+        """The current instant as RFC 3339 UTC with microseconds, e.g. `2026-11-21T10:00:00.000000Z`."""
         ...
 
     def call_at_ns(self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0) -> Timer:
-        """Call `callback` at `at_ns`, never earlier; at once (but not before this returns) if it is past.
+        """Call `callback` at `at_ns`, never earlier; immediately (but not before this returns) if it is past.
 
-        leeway_ns: by so much it may be later, live, where each call wakes a process.
+        leeway_ns: permitted delay of the call in live operation, where each call wakes a process.
         """
         ...
 

@@ -1,14 +1,15 @@
-"""A controller's tick counter against its host's clock: everything that its readings leave possible, and its middle.
+"""The mapping of a controller's tick counter to its host's clock, with a guaranteed bound.
 
-A reading says: the counter was `ticks` at some instant between `sent_ns` and `received_ns`, and its value holds for a
-whole tick. So the instant at which it became `ticks` lies in (sent - tick, received]. A crystal has a rate that wanders
-slowly: seen from now it is a line, and each reading is a gate that the line goes through, wider the older the reading
-is by what a crystal may have wandered since. The lines that go through all gates are the estimate; their middle is the
-mapping, and the farthest of them its bound, which nothing that the model allows can exceed: slow answers, one-sided
-delays of a receiver, coarse ticks, wander. What no reading can show, an asymmetry of the fastest answers, lies inside.
+A sample states: the counter was `ticks` at some instant between `sent_ns` and `received_ns`, and a value lasts one
+whole tick. So the instant at which the counter became `ticks` lies in (sent - tick, received]. The rate of a crystal
+wanders slowly: seen from now, its time is a straight line, and each sample is a gate through which the line passes.
+A gate widens with the sample's age by the amount that a crystal may have wandered since. The lines that pass all
+gates are the estimate: their middle is the mapping, the farthest of them its bound. Nothing that the model allows
+exceeds this bound: slow replies, one-sided delays of a receiver, coarse ticks, wander. An asymmetry of the fastest
+replies, which no sample can reveal, is inside the bound.
 
-Least squares and the smallest round trip (Cristian, 1989) are what `tutti bench clock` measures this against: neither
-gives a bound, and bytes that a USB adapter holds back draw them aside.
+`tutti bench clock` compares this with least squares and the smallest round trip (Cristian, 1989): neither gives a
+bound, and bytes that a USB adapter delays pull both off.
 """
 
 import math
@@ -18,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_PPM = 100.0
-"""No crystal is further off its rate than this."""
+"""No crystal deviates further from its nominal rate."""
 KEPT = 512
 WANDER_PPM = 0.05
-"""How a crystal's rate walks: standard deviation of its change in a second, ppm."""
+"""Random walk of a crystal's rate: standard deviation of its change in a second, ppm."""
 SURE = 6.0
-"""So many standard deviations are allowed for: five of them would be passed once in two million readings."""
+"""Number of standard deviations that the bound allows; five would be exceeded once in two million samples."""
 AHEAD_PPM = 1.0
-"""What the wander may add to a prediction, for half a minute: SURE * WANDER_PPM * sqrt(t / 3) ppm after t seconds."""
+"""Allowance of a prediction for wander, over half a minute: SIGMA_LIMIT * WANDER_PPM * sqrt(t / 3) ppm after t
+seconds."""
 _GRID = 48
 _ZOOMS = 3
 
@@ -35,7 +37,8 @@ _Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One reading of the counter: it was taken between the two host instants, known wire times taken out."""
+    """One reading of the counter, taken between the two host instants; known transmission times are already
+    subtracted."""
 
     sent_ns: int
     received_ns: int
@@ -46,8 +49,9 @@ class Sample:
 class TickMapping:
     """host_ns = host_at_ns + (ticks - ticks_at) * tick_ns: the host time at which the counter became `ticks`.
 
-    bound_ns: guaranteed error at `host_at_ns`; grows with `drift_ppm` from there. residual_ns: how far the readings
-    are from the mapping on average. consistent: all readings fit the model; else this is the last one alone.
+    bound_ns: guaranteed error at `host_at_ns`; it grows with `drift_ppm` from there.
+    residual_ns: mean distance of the samples from the mapping.
+    consistent: all samples fit the model; otherwise the mapping uses the last sample only.
     """
 
     ticks_at: int
@@ -62,23 +66,24 @@ class TickMapping:
     consistent: bool = True
 
     def host_ns(self, ticks: int) -> int:
-        """Host time at which the counter becomes `ticks`."""
+        """Return the host time at which the counter becomes `ticks`."""
         return self.host_at_ns + round((ticks - self.ticks_at) * self.tick_ns)
 
     def ticks(self, host_ns: int) -> float:
-        """The (fractional) counter value at `host_ns`."""
+        """Return the (fractional) counter value at `host_ns`."""
         return self.ticks_at + (host_ns - self.host_at_ns) / self.tick_ns
 
     def bound_at_ns(self, host_ns: int) -> int:
-        """Guaranteed error of `host_ns()` near the instant `host_ns`."""
+        """Return the guaranteed error of `to_host_ns()` near the instant `host_ns`."""
         return self.bound_ns + round(abs(host_ns - self.host_at_ns) * self.drift_ppm * 1e-6)
 
 
 class TickEstimator:
-    """Learns a controller's clock from readings of its counter.
+    """Estimates a controller's clock from samples of its counter.
 
-    late_ns: the counter is usually read so much later than a reading's `sent_ns` allows, e.g. because a firmware
-    mostly takes longer than it may at the least. The mapping is moved by half of it; the bound does not believe it.
+    usual_delay_ns: the counter is usually read this much later than a sample's `sent_ns` allows, e.g. because a
+    firmware usually takes longer than its minimum. The mapping is moved by half of it; the bound does not depend on
+    it.
     """
 
     def __init__(self, nominal_tick_ns: float, late_ns: int = 0) -> None:
@@ -90,7 +95,8 @@ class TickEstimator:
         self._last: Sample | None = None
 
     def add(self, sample: Sample) -> bool:
-        """Take a reading. False when the counter has gone back or jumped: everything learned before is dropped."""
+        """Add a sample. Return False when the counter has gone back or jumped: all earlier samples are then
+        discarded."""
         last = self._last
         self._keep(sample)
         if last is None:
@@ -106,11 +112,11 @@ class TickEstimator:
         return False
 
     def forget(self) -> None:
-        """Start anew, e.g. after the controller was reset."""
+        """Discard all samples, e.g. after a reset of the controller."""
         self._count, self._last = 0, None
 
     def mapping(self) -> TickMapping | None:
-        """The mapping that the readings give now, or None without any."""
+        """Return the mapping from the current samples, or None without any."""
         last, nominal = self._last, self._nominal_tick_ns
         if last is None:
             return None
@@ -119,11 +125,11 @@ class TickEstimator:
         lines = gates.lines()
         consistent = lines is not None
         if lines is None:
-            # Outside the model (a delay that nothing allows for, a crystal beyond MAX_PPM): the last reading alone.
+            # Outside the model (a delay beyond every allowance, a crystal beyond MAX_PPM): use the last sample only.
             gates = _Gates(samples[-1:], nominal)
             lines = gates.lines()
             assert lines is not None
-        # Half the usual lateness is moved to, but never out of what is possible, nor out of the bound.
+        # Move by half the usual delay, but never out of the feasible range nor out of the bound.
         offset_ns = lines.offset_ns + min(self._late_ns / 2, lines.half_ns)
         tick_ns = nominal * (1.0 + lines.rate)
         return TickMapping(
@@ -150,9 +156,12 @@ class TickEstimator:
 
 @dataclass(frozen=True, slots=True)
 class _Lines:
-    """What the possible lines have in common. offset_ns: of the middle one, when the counter became the last reading's
-    ticks, after that was sent. half_ns: how far an offset may be moved at its rate. bound_ns, rate_bound: how far any
-    possible line is off, in offset and rate."""
+    """The properties common to all feasible lines.
+
+    offset_ns: offset of the middle line when the counter became the last sample's ticks, counted from the instant
+    that sample was sent.
+    half_ns: how far an offset may be moved at its rate.
+    bound_ns, rate_bound: largest deviation of any feasible line, in offset and rate."""
 
     offset_ns: float
     half_ns: float
@@ -162,15 +171,16 @@ class _Lines:
 
 
 class _Gates:
-    """The readings, seen from the last one: ages in nominal ns of the counter (0 or less), gates in host ns.
+    """The samples, relative to the last one: ages in nominal ns of the counter (0 or less), gates in host ns.
 
-    Of the hundreds of gates, straight lines can touch only those on a hull: some tens decide, and only they are asked.
+    Of the hundreds of gates, straight lines can touch only those on a convex hull: some tens decide, and only those
+    are evaluated.
     """
 
     def __init__(self, samples: _Ints, nominal_tick_ns: float) -> None:
         sent_ns, received_ns, ticks = (samples - (samples[-1, 0], samples[-1, 0], samples[-1, 2])).T
         self._ages: _Floats = ticks * nominal_tick_ns
-        # How far a line may be off a reading of this age, by wander alone: the integral of a random walk.
+        # Deviation of a line from a sample of this age by wander alone: the integral of a random walk.
         wander_ns = SURE * WANDER_PPM * 1e-6 * np.sqrt(np.abs(self._ages * 1e-9) ** 3 / 3) * 1e9
         # The tick of a counter that runs slow is longer.
         tick_ns = nominal_tick_ns * (1.0 + MAX_PPM * 1e-6)
@@ -181,7 +191,7 @@ class _Gates:
         self._ceiling = self._ages[ceiling], self._high[ceiling]
 
     def lines(self) -> _Lines | None:
-        """All lines through the gates; None when there is none."""
+        """Find all lines through the gates; None when there is none."""
         rates = np.linspace(-MAX_PPM, MAX_PPM, _GRID) * 1e-6
         best = 0.0
         for _ in range(_ZOOMS):
@@ -198,23 +208,23 @@ class _Gates:
         lows, highs = self._gap(rates)
         low, high = self._gap(np.array([rate]))
         middle, half = float(high[0] + low[0]) / 2, max(0.0, float(high[0] - low[0]) / 2)
-        # Between two rates of the grid a line may reach further, by as much as the oldest reading is away.
+        # Between two rates of the grid a line may reach further, in proportion to the age of the oldest sample.
         between = (fastest - slowest) / _GRID * float(np.abs(self._ages).max())
         bound = max(float(highs.max()) - middle, middle - float(lows.min())) + between
         return _Lines(middle, half, bound, rate, (fastest - slowest) / 2)
 
     def residual_ns(self, offset_ns: float, rate: float) -> float:
-        """How far the middles of the readings are from a line, on average."""
+        """Return the mean distance of the samples' middles from a line."""
         middles = (self._low + self._high) / 2 - self._ages * rate
         return float(np.abs(middles - offset_ns).mean())
 
     def _gap(self, rates: _Floats) -> tuple[_Floats, _Floats]:
-        """For each rate, between which offsets a line goes through all gates."""
+        """Return, for each rate, the offsets between which a line passes all gates."""
         (low_ages, low), (high_ages, high) = self._floor, self._ceiling
         return (low - np.outer(rates, low_ages)).max(axis=1), (high - np.outer(rates, high_ages)).min(axis=1)
 
     def _edge(self, inside: float, outside: float) -> float:
-        """The last rate on the way from `inside` to `outside` at which a line goes through all gates."""
+        """Find the last rate on the way from `inside` to `outside` at which a line passes all gates."""
         for _ in range(_ZOOMS):
             rates = np.linspace(inside, outside, _GRID)
             low, high = self._gap(rates)
@@ -227,11 +237,11 @@ class _Gates:
 
 
 def upper_hull(ages: _Floats, values: _Floats) -> _Ints:
-    """The points that a straight line from above can touch, by index; a few more do no harm."""
+    """Find the points that a straight line from above can touch, by index; a few more do no harm."""
     kept: _Ints = np.argsort(ages, kind="stable")
     while len(kept) > 2:
         x, y = ages[kept], values[kept]
-        # Who is below the line between its neighbours is no corner, whoever else is none.
+        # A point below the line between its neighbours is no corner, whatever other points are dropped.
         below = (x[1:-1] - x[:-2]) * (y[2:] - y[:-2]) > (x[2:] - x[:-2]) * (y[1:-1] - y[:-2])
         if not below.any():
             break

@@ -1,5 +1,7 @@
-"""Where calls run that wait for a disk: at once in virtual time; live in a thread, because one may take a tenth of a
-second, and nothing else of a process may stand still for that."""
+"""Executors for calls that wait for a disk.
+
+In virtual time a call runs inline. Live it runs in a thread, because one call may take a tenth of a second, during
+which the rest of the process must not stop."""
 
 import asyncio
 from collections.abc import Callable, Coroutine
@@ -9,15 +11,16 @@ from typing import Any, Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Runs(Protocol):
-    """Runs calls, in the order in which they are given."""
+class Executor(Protocol):
+    """Runs calls in the order in which they are submitted."""
 
     async def __call__(self, function: Callable[..., T], *values: Any) -> T: ...
 
 
-async def beside(telling: Coroutine[Any, Any, None], doing: Coroutine[Any, Any, T]) -> T:
-    """Do something while a disk is told of it, and give its result. What must not be done before it is on disk can not
-    be done so; but what is told in turn is there in that order."""
+async def run_while_recording(telling: Coroutine[Any, Any, None], doing: Coroutine[Any, Any, T]) -> T:
+    """Await `doing` while `telling` writes to disk, and return the result of `doing`.
+
+    Not for an act that must not happen before it is on disk; but consecutive records reach the disk in order."""
     told = asyncio.ensure_future(telling)
     try:
         return await doing
@@ -25,13 +28,13 @@ async def beside(telling: Coroutine[Any, Any, None], doing: Coroutine[Any, Any, 
         await told
 
 
-async def inline(function: Callable[..., T], *values: Any) -> T:
-    """At once, in virtual time."""
+async def run_inline(function: Callable[..., T], *values: Any) -> T:
+    """Run the call immediately, in virtual time."""
     return function(*values)
 
 
 class Threaded:
-    """In a thread of its own."""
+    """Runs calls in a thread of its own."""
 
     def __init__(self, name: str) -> None:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix=name)

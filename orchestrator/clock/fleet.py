@@ -1,14 +1,15 @@
-"""Fleet time: the scale on which starts are agreed, integer nanoseconds from 0, tied to the coordinator's clock."""
+"""Fleet time: the scale on which start instants are agreed, integer nanoseconds from 0, tied to the coordinator's
+clock."""
 
 from dataclasses import dataclass
 
 from orchestrator.clock.base import Clock
-from orchestrator.model.messages import Reign
+from orchestrator.model.messages import LeaderHeartbeat
 
 
 @dataclass(frozen=True, slots=True)
 class FleetScale:
-    """Fleet time as one host knows it: fleet_ns = host_ns - origin_host_ns, wrong by at most `bound_ns`."""
+    """Fleet time as estimated on one host: fleet_ns = host_ns - origin_host_ns, with an error of at most `bound_ns`."""
 
     scale_id: str
     origin_host_ns: int
@@ -23,24 +24,24 @@ class FleetScale:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """One question for fleet time: asked and answered at these host instants."""
+    """One request for fleet time: host instants of request and reply, and the fleet time in the reply."""
 
     sent_ns: int
     received_ns: int
     fleet_ns: int
 
 
-def exact_scale(reign: Reign, clock: Clock) -> FleetScale | None:
-    """The scale of a coordinator on this very kernel, exact; None when it runs on another."""
+def exact_scale(reign: LeaderHeartbeat, clock: Clock) -> FleetScale | None:
+    """Return the exact scale of a coordinator on the same kernel; None when it runs on another."""
     if reign.kernel_id != clock.kernel_id:
         return None
     return FleetScale(reign.scale_id, reign.origin_host_ns)
 
 
 def estimated_scale(scale_id: str, exchanges: list[Exchange]) -> FleetScale:
-    """The scale from questions over the bus: the smallest round trip decides, half of it is the bound.
+    """Estimate the scale from requests over the bus: the smallest round trip decides, half of it is the bound.
 
-    Good for the seconds between adoption and a start; crystals of hosts differ by some 10 ppm.
+    Accurate enough for the seconds between adoption and a start; crystals of hosts differ by some 10 ppm.
     """
     best = min(exchanges, key=lambda each: each.received_ns - each.sent_ns)
     middle_ns = (best.sent_ns + best.received_ns) // 2

@@ -1,14 +1,15 @@
-"""How long after its starting line a unit starts, from the starts that it has made.
+"""The latency between a start command and the start, learned from earlier starts.
 
-Of each start an interval is known: not later than its acknowledgement can have begun to be sent, nor than its end less
-its duration; not earlier than an end that had not come yet, less its duration. What a firmware has done does not bind
-it: the promise stays what was declared, and is only widened, by starts that lie outside. But where between its bounds
-a unit usually starts can be shown, and the starting line is written so that T0 is met in the middle of that.
+Each start gives an interval. It was not later than the instant at which the acknowledgement can have begun to be
+sent, nor than the end minus the duration; it was not earlier than the last instant known to be before the end, minus
+the duration. Past starts do not bind a firmware: the guarantee stays the declared one, and starts outside it only
+widen it. But they show where between its bounds a controller usually starts, and the start command is written so
+that T0 falls in the middle of that.
 
-One start in `KEPT` may lie anywhere: a firmware that hung once for 0.2 s would otherwise have every job refused whose
-start may be less uncertain than that, and so make none of the starts that could show that it is well again. That
-start is told where it was made (its evidence lies outside its promise). From the second one on it is the unit's way,
-and promised, until it is older than `KEPT` starts.
+One start in `MAX_STARTS` may lie anywhere: otherwise, after a firmware hung once for 0.2 s, every job with a tighter
+start tolerance would be refused, and no start could show that the controller has recovered. That one start is
+reported where it happened (its evidence lies outside its guarantee). From the second one on the deviation counts as
+the controller's normal behaviour and is part of the guarantee, until it is older than `MAX_STARTS` starts.
 """
 
 from collections import deque
@@ -20,8 +21,11 @@ _ENOUGH = 8
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """From the end of the starting line to the start, ns. usual_ns: what to write it ahead by. earliest_ns, latest_ns:
-    guaranteed. starts: that it was learned from."""
+    """Time from the end of the start command to the start, ns.
+
+    usual_ns: the advance with which the command is written.
+    earliest_ns, latest_ns: guaranteed bounds.
+    starts: number of starts that it was learned from."""
 
     usual_ns: int
     earliest_ns: int
@@ -30,7 +34,7 @@ class Latency:
 
 
 class LatencyEstimator:
-    """Learns from starts. declared: what is guaranteed before any."""
+    """Learns from starts. declared: the guarantee before any start."""
 
     def __init__(self, declared: Latency) -> None:
         self._declared = declared
@@ -39,18 +43,20 @@ class LatencyEstimator:
         self.latency = declared
 
     def forget(self) -> None:
-        """Start anew."""
+        """Discard all starts."""
         self._starts.clear()
         self._answered.clear()
         self.latency = self._declared
 
     def take(self, earliest_ns: int, latest_ns: int, answered_ns: int | None) -> None:
-        """A start was made so long after the end of its line. answered_ns: when the acknowledgement that is sent with
-        the start can have begun to be sent at the latest; None for a unit that has none."""
+        """Add a start that was made in this interval after the end of its command.
+
+        answered_ns: latest time at which the acknowledgement of the start can have begun to be sent; None for a
+        controller that sends none."""
         self._starts.append((earliest_ns, latest_ns))
         if answered_ns is not None:
             self._answered.append(answered_ns)
-        # The second of those that were surely early, and of those that were surely late.
+        # The second of the starts that were certainly early, and of those that were certainly late.
         early = sorted(each[1] for each in self._starts)[1:2]
         late = sorted(each[0] for each in self._starts)[-2:-1]
         self.latency = Latency(
@@ -61,12 +67,12 @@ class LatencyEstimator:
         )
 
     def _usual_ns(self) -> int:
-        """The mean of the acknowledgements, if they are as near to each other as the starts themselves may be: then no
-        receiver holds them back. Else what is declared, unless every start was later, or earlier.
+        """The mean of the acknowledgements, if they differ by no more than the starts themselves may: then no
+        receiver delays them. Otherwise the declared value, unless every start was later, or earlier.
 
-        `tutti bench rates`: so it is 0.1 ms from the middle of a unit's times where nothing is held back. Where it is,
-        and where the acknowledgement is that of another question behind the line, what is declared is nearer than
-        anything that acknowledgements and ends could say, by milliseconds.
+        `tutti bench rates`: without delays, this is 0.1 ms from the middle of a controller's latencies. With delays,
+        and where the acknowledgement is that of another query after the command, the declared value is nearer than
+        anything that acknowledgements and ends can show, by milliseconds.
         """
         declared, answered = self._declared, self._answered
         if len(answered) >= _ENOUGH and max(answered) - min(answered) <= declared.latest_ns - declared.earliest_ns:

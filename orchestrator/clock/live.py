@@ -13,26 +13,28 @@ from orchestrator.clock.utc import rfc3339
 
 
 def raw_ns() -> int:
-    """This machine's monotonic time, never slewed nor stepped; the same for all processes of one kernel."""
+    """Return this machine's monotonic time, never slewed nor stepped; the same for all processes of one kernel."""
     return time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
 
 
 def boot_id() -> str:
-    """Names this boot of this kernel: processes with the same one share `raw_ns` exactly."""
+    """Return the id of this boot of this kernel: processes with the same one share `raw_ns` exactly."""
     return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
 
 
 SWITCH_S = 0.0005
-"""The bus's threads share the interpreter with the loop that stamps what controllers send. Python lets a thread keep it
-for 5 ms by default, which would widen every stamp, and hold up every message, by as much."""
+"""The bus's threads share the interpreter with the loop that timestamps data from controllers. By default Python
+lets a thread keep the interpreter for 5 ms, which would widen every timestamp, and delay every message, by as
+much."""
 
 
 def begin_live() -> None:
-    """To be called once all is loaded: what is alive now is not looked through for garbage any more, and threads take
-    short turns.
+    """Prepare a live process, once everything is loaded: exempt existing objects from garbage collection, and
+    shorten the threads' time slices.
 
-    Python stops a process for its garbage again and again, for as long as it has objects: 30 ms with what an adapter
-    host has loaded, in which nothing is sent, stamped or stopped. Afterwards it looks through what came later alone.
+    Python pauses a process for garbage collection again and again, in proportion to its objects: 30 ms with the
+    objects of an adapter host, during which nothing is sent, timestamped or stopped. Afterwards only newer objects
+    are examined.
     """
     gc.collect()
     gc.freeze()
@@ -40,7 +42,7 @@ def begin_live() -> None:
 
 
 class _LiveTimer:
-    """Waits on the loop's clock, then looks at the raw one: the loop's is slewed, and may be early."""
+    """Waits on the loop's clock, then checks the raw one: the loop's clock is slewed, and may be early."""
 
     def __init__(self, at_ns: int, callback: Callable[[], None]) -> None:
         self._at_ns = at_ns

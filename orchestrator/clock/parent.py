@@ -1,4 +1,4 @@
-"""Processes that must not outlive the one that started them."""
+"""Processes that must not outlive their parent process."""
 
 import ctypes
 import os
@@ -9,9 +9,9 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def die_with_parent(parent_pid: int) -> None:
-    """Have the kernel send this process SIGTERM when its parent `parent_pid` ends, by `kill -9` too.
+    """Make the kernel send this process SIGTERM when its parent `parent_pid` ends, also by `kill -9`.
 
-    Exits at once if that has happened already. Linux; elsewhere it does nothing.
+    Exits immediately if the parent has ended already. Linux only; elsewhere it does nothing.
     """
     if sys.platform != "linux":
         return

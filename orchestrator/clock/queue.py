@@ -17,7 +17,8 @@ class _Call:
 
 @dataclass(slots=True)
 class EventQueue:
-    """A `Clock` whose time moves only when told to. Calls of one instant run in the order they were asked for."""
+    """A `Clock` whose time moves only when its methods are called. Calls of one instant run in the order in which
+    they were scheduled."""
 
     _now_ns: int = 0
     _heap: list[tuple[int, int, _Call]] = field(default_factory=list[tuple[int, int, _Call]])
@@ -41,13 +42,13 @@ class EventQueue:
         return call
 
     def next_ns(self) -> int | None:
-        """The instant of the earliest call that still stands, or None."""
+        """Return the instant of the earliest pending call, or None."""
         while self._heap and self._heap[0][2].callback is None:
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
     def step(self) -> bool:
-        """Move to the earliest call and make it. False when there is none."""
+        """Advance to the earliest call and make it. Return False when there is none."""
         if self.next_ns() is None:
             return False
         at_ns, _, call = heapq.heappop(self._heap)

@@ -1,13 +1,13 @@
-"""The rate of a crystal that can not be read, from what is seen of the moves that it times.
+"""The rate of a crystal that cannot be read, inferred from the moves that it times.
 
-Whatever a unit has done in a time that is exact by its crystal, and known by the host's within bounds, is a gate for
-the rate: wider the older it is, by what a crystal may have wandered since. The rates that pass all gates, and are
-within what is assumed of the crystal from the start, are possible; the farthest of them is the bound. What no evidence
-shows lies inside: an answer that was held back only makes a gate wider on its side.
+Anything that a controller does in a time that is exact by its crystal, and known within bounds by the host's clock,
+is a gate for the rate; a gate widens with its age by the amount that a crystal may have wandered since. The rates
+that pass all gates, and lie within the tolerance assumed at the start, are feasible; the farthest of them is the
+bound. Effects that no evidence reveals lie inside: a delayed reply only widens a gate on its side.
 
-Where between them the rate is can be told better than by their middle: measurements, each with its own scatter, are put
-together as those of a rate that walks (Kalman, 1960), and never believed beyond what is possible. `tutti bench rates`
-shows both beside what a script would do, for every kind of link.
+The position of the rate between the bounds is estimated better than by their middle: measurements, each with its own
+scatter, are combined as those of a rate that walks randomly (Kalman, 1960), and limited to the feasible range.
+`tutti bench rates` shows both compared with the method of a script, for every kind of link.
 """
 
 from collections import deque
@@ -21,14 +21,15 @@ from orchestrator.clock.estimator import SURE, WANDER_PPM
 KEPT = 256
 _LAST = 20
 LEAD_S = 30.0
-"""A move is planned so long before it starts at the most."""
+"""A move is planned at most this long before it starts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """The rate lay between low_ppm and high_ppm, as a mean over a time that ended at the host instant at_ns. spread_s:
-    of the wander between that mean and the rate at its end: a third of its length for one stretch, all of it for the
-    narrowest of many within."""
+    """The rate lay between low_ppm and high_ppm, as a mean over a time that ended at the host instant at_ns.
+
+    spread_s: time over which the rate may have wandered between that mean and the rate at its end: a third of its
+    length for one stretch, all of it for the narrowest of many within."""
 
     low_ppm: float
     high_ppm: float
@@ -36,14 +37,17 @@ class Gate:
     spread_s: float
 
     def widened(self, now_ns: int) -> tuple[float, float]:
-        """The rates of now that it allows."""
+        """Return the range of rates that the gate allows at `now_ns`."""
         wander = _wander_ppm((now_ns - self.at_ns) / NS_PER_S + self.spread_s)
         return self.low_ppm - wander, self.high_ppm + wander
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A rate that was measured. error_ppm: its standard deviation. at_ns: the middle of the time that it is of."""
+    """A measured rate.
+
+    error_ppm: its standard deviation.
+    at_ns: the middle of the measured time."""
 
     rate_ppm: float
     error_ppm: float
@@ -54,10 +58,12 @@ class Measure:
 class CrystalRate:
     """How much faster than the host's clock a crystal runs, ppm.
 
-    low_ppm, high_ppm: guaranteed at the host instant at_ns. assumed_ppm: the same at any time, by what is assumed.
-    error_ppm: standard deviation, by the scatter of what was measured. residual_ppm: how far the last measurements are
-    from it on average. moves: that it was learned from. consistent: they fit the model of evidence and crystal; else
-    everything was forgotten at at_ns.
+    low_ppm, high_ppm: guaranteed at the host instant at_ns.
+    assumed_ppm: bounds at any time, by assumption.
+    error_ppm: standard deviation, by the scatter of the measurements.
+    residual_ppm: mean distance of the last measurements from it.
+    moves: number of moves that it was learned from.
+    consistent: the moves fit the model of evidence and crystal; otherwise everything was discarded at at_ns.
     """
 
     rate_ppm: float
@@ -76,30 +82,32 @@ class CrystalRate:
         return 1 + self.rate_ppm * 1e-6
 
     def span_ppm(self, now_ns: int, duration_s: float, lead_s: float = 0.0) -> tuple[float, float]:
-        """The least and the most that the rate is, guaranteed, as a mean over a move of this duration that ends now, or
-        that starts within `lead_s` from now."""
+        """Return the guaranteed least and largest mean rate over a move of this duration that ends now, or that
+        starts within `lead_s` from now."""
         wander = _wander_ppm(max(0, now_ns - self.at_ns) / NS_PER_S + lead_s + duration_s / 3)
         least, most = self.assumed_ppm
         return max(least, self.low_ppm - wander), min(most, self.high_ppm + wander)
 
     def bound_ppm(self, now_ns: int, duration_s: float, lead_s: float = 0.0) -> float:
-        """Guaranteed error of the rate, like `span_ppm`."""
+        """Return the guaranteed error of the rate, for the same time as `range_ppm`."""
         low, high = self.span_ppm(now_ns, duration_s, lead_s)
         return max(high - self.rate_ppm, self.rate_ppm - low)
 
     def took_ns(self, duration_s: float, now_ns: int) -> tuple[int, int]:
-        """What something that took so long by the crystal, and ends now, took by the host's clock: least and most."""
+        """Return the least and largest duration by the host's clock of something that took `duration_s` by the
+        crystal, and ends now."""
         low, high = self.span_ppm(now_ns, duration_s)
         device_ns = duration_s * NS_PER_S
         return floor(device_ns / (1 + high * 1e-6)), ceil(device_ns / (1 + low * 1e-6))
 
 
 class RateEstimator:
-    """Learns the rate of one crystal. usual_ppm: what it is taken for at first, and within `reach_ppm` of it always."""
+    """Learns the rate of one crystal. usual_ppm: the rate assumed at first; the true one is always within
+    `reach_ppm` of it."""
 
     def __init__(self, usual_ppm: float, reach_ppm: float) -> None:
         span = (usual_ppm - reach_ppm, usual_ppm + reach_ppm)
-        # Taken for three standard deviations: most crystals are much better than the worst that is allowed for.
+        # `reach_ppm` counts as three standard deviations: most crystals are much better than the worst permitted one.
         self._assumed = CrystalRate(usual_ppm, *span, assumed_ppm=span, error_ppm=reach_ppm / 3)
         self._reach_ppm = reach_ppm
         self._gates: deque[Gate] = deque(maxlen=KEPT)
@@ -108,18 +116,19 @@ class RateEstimator:
         self.rate = self._assumed
 
     def forget(self) -> None:
-        """Start anew, e.g. after the unit was switched off and on."""
+        """Discard all moves, e.g. after the controller was switched off and on."""
         self._gates.clear()
         self._measures.clear()
         self._moves = 0
         self.rate = self._assumed
 
     def take(self, gates: Iterable[Gate], measures: Iterable[Measure], now_ns: int) -> bool:
-        """Learn from a move that ends now. False when it contradicts what was known: then nothing is."""
+        """Learn from a move that ends now. Return False when it contradicts the earlier ones: all are then
+        discarded."""
         fresh = [gate for gate in gates if self._excludes(gate, now_ns)]
         measured = [each for each in measures if each.error_ppm < self._reach_ppm]
         if not fresh and not measured:
-            return True  # too short, or seen too badly, to say anything
+            return True  # too short, or observed too poorly, to show anything
         self._gates.extend(fresh)
         self._measures.extend(measured)
         self._moves += 1
@@ -155,7 +164,7 @@ class RateEstimator:
         )
 
     def _filtered(self, now_ns: int) -> tuple[float, float]:
-        """The likeliest rate of now, and its variance."""
+        """Return the most likely rate at `now_ns`, and its variance."""
         rate, variance = self._assumed.rate_ppm, self._assumed.error_ppm**2
         at_ns = now_ns
         for each in self._measures:
@@ -168,5 +177,6 @@ class RateEstimator:
 
 
 def _wander_ppm(spread_s: float) -> float:
-    """How far a crystal's rate may have walked, or, over a third of the time, be from its mean."""
+    """Return how far a crystal's rate may have walked in `spread_s`, or, over three times as long, deviate from its
+    mean."""
     return SURE * WANDER_PPM * sqrt(spread_s)

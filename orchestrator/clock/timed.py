@@ -1,13 +1,13 @@
-"""What is seen of a move that a unit times by its own crystal, and what that says of crystal and start.
+"""Observations of a move that a controller times by its own crystal, and what they prove about crystal and start.
 
-Whatever the controller, it is the same: the starting line was written, and acknowledged; positions were told on the
-way; it was asked whether it still moves; it said that it has ended. Each is a fact about an interval of host time. At
-constant speed, positions are readings of the crystal: hundreds in a long move. A position is taken for one of an
-instant between the end of the question on the wire and the beginning of its answer. The form of ramps is used for
-nothing but where start and end lie.
+The observations are the same for every make: the start command was written and acknowledged; positions were reported
+on the way; the controller was polled whether it still moves; it reported the end. Each is a fact about an interval
+of host time. At constant speed, positions are readings of the crystal: hundreds in a long move. A position counts as
+taken at an instant between the end of the query on the serial line and the beginning of its reply. The shape of
+ramps only determines where start and end lie.
 
-What is guaranteed of an end on the slow side is that it had not come at the last question which was answered with
-`moving`. That a completion line is held back by no more than some time is not: the option of a receiver is no evidence.
+The late side of an end is bounded by the last query that was answered with `moving`. A limit for the delay of a
+completion message is not assumed: a receiver's setting is no evidence.
 """
 
 from collections.abc import Iterable
@@ -22,14 +22,14 @@ from orchestrator.clock.rate import CrystalRate, Gate, Measure
 
 _BEFORE_NS = 20 * NS_PER_MS
 LONG_S = 5.0
-"""The end of a shorter move is not worth asking for: a millisecond is more than a crystal's error in it."""
+"""The end of a shorter move is not worth polling for: a millisecond is more than a crystal's error in it."""
 _MOST = 256
-"""Readings that are compared with each other."""
+"""Limit of readings that are compared with each other."""
 _STRETCHES = 48
-"""Of the time; of more readings than `_MOST` the best two of each are kept."""
+"""Sections of the time; of more readings than `_MAX_READINGS` the best two of each section are kept."""
 _ENOUGH = 10
 _LEAST_PPM = 0.1
-"""No line of readings is believed more closely than that."""
+"""Lower limit for the assumed error of a fit of readings."""
 
 _Floats = NDArray[np.float64]
 
@@ -55,18 +55,18 @@ class _Reading:
 
     @property
     def early(self) -> float:
-        """Larger is better: how late the start is at the least, by a perfect crystal."""
+        """Earliest start that this reading allows, by a perfect crystal; a larger value is more informative."""
         return self.earliest_ns - self.last_ns
 
     @property
     def late(self) -> float:
-        """Smaller is better."""
+        """Latest start that this reading allows, by a perfect crystal; a smaller value is more informative."""
         return self.latest_ns - self.first_ns
 
 
 class _Line:
-    """Least squares of the crystal's time against the host's, as sums, in s from the start: no reading is kept for it,
-    and none left out."""
+    """Least squares of the crystal's time against the host's, as running sums, in s from the start: no reading is
+    stored, and none is left out."""
 
     def __init__(self) -> None:
         self._n = 0
@@ -80,7 +80,7 @@ class _Line:
         self._both += host * off
 
     def measure(self, begin_ns: int) -> Measure | None:
-        """The slope, with the error that the scatter about it gives. begin_ns: the host instant of 0."""
+        """Return the slope, with the error that follows from the scatter about it. begin_ns: the host instant of 0."""
         if self._n < _ENOUGH:
             return None
         n = self._n
@@ -92,9 +92,12 @@ class _Line:
 
 
 class TimedMove:
-    """A move that has started. duration_s: by the unit's crystal; legs: (duration, speed at its begin, acceleration) by
-    the same, one behind the other, in s and counts along the way. started_ns: the earliest and the latest instant of
-    its start, by what was seen alone, never by what the crystal was thought to be."""
+    """A move that has started.
+
+    duration_s: by the controller's crystal.
+    legs: consecutive (duration, initial speed, acceleration), by the same crystal, in s and counts along the path.
+    started_ns: the earliest and the latest instant of its start, by observation alone, never by an assumption about
+    the crystal."""
 
     def __init__(
         self, duration_s: float, legs: Iterable[tuple[float, float, float]], started_ns: tuple[int, int]
@@ -109,12 +112,13 @@ class TimedMove:
 
     @property
     def before_ns(self) -> int:
-        """So long before it can have ended at the earliest it is asked, again and again, whether it has: not as long
-        for all moves, so that some are asked just before they end, and others just behind."""
+        """Polling for the end begins this long before the earliest possible end. The time differs between moves, so
+        that some polls come just before an end, and others just after."""
         return _BEFORE_NS + self.started_ns[0] % _BEFORE_NS
 
     def stood(self, way: float, grain: float, earliest_ns: int, latest_ns: int) -> None:
-        """Between the two instants it had gone so far, to within `grain` counts either way."""
+        """Record a position: between the two instants the move had covered this distance, to within the resolution
+        in counts either way."""
         cruise = self._cruise
         if cruise is None or not cruise.first + grain < way < cruise.last - grain:
             return
@@ -127,16 +131,17 @@ class TimedMove:
             self._readings = _best(self._readings)
 
     def moved(self, at_ns: int) -> None:
-        """It had not ended at that instant. Only for a unit that does not say so any longer, e.g. while it settles."""
+        """Record that the move had not ended at that instant. Only for a controller that no longer reports `moving`,
+        e.g. while it settles."""
         self._moved_ns = at_ns if self._moved_ns is None else max(self._moved_ns, at_ns)
 
     def ended(self, latest_ns: int) -> None:
-        """It had ended, as planned, at that instant."""
+        """Record that the move had ended, as planned, at that instant."""
         self._ended_ns = (self._moved_ns, latest_ns)
 
     @property
     def gates(self) -> list[Gate]:
-        """What the rate of the crystal can have been."""
+        """The feasible rates of the crystal that follow from this move."""
         found: list[Gate] = []
         device_ns = self.duration_s * NS_PER_S
         if self._ended_ns is not None:
@@ -151,18 +156,18 @@ class TimedMove:
 
     @property
     def measures(self) -> list[Measure]:
-        """What the rate has been found to be by the positions that were told; nothing without them: the middles of what
-        is known of start and end are no better there than the middle of what all moves have left possible.
+        """Rates measured from the reported positions; none without positions: the middles of the start and end
+        intervals are no better than the middle of the rates that all moves have left feasible.
 
-        Questions reach a unit more evenly than its answers reach the host where a receiver holds these back, less
-        evenly where the host is busy: whichever of both scatters less about a straight line is believed.
+        Queries reach a controller more evenly than its replies reach the host where a receiver delays replies, less
+        evenly where the host is busy: the set with less scatter about a straight line is used.
         """
         lines = [each.measure(self.started_ns[0]) for each in (self._asked, self._told)]
         told = [each for each in lines if each is not None]
         return [min(told, key=lambda each: each.error_ppm)] if told else []
 
     def _pairs(self) -> Gate:
-        """The narrowest of all stretches between two readings."""
+        """Return the narrowest gate of all pairs of readings."""
         first, last, earliest, latest = (
             np.array([getattr(each, name) for each in self._readings], dtype=float)
             for name in ("first_ns", "last_ns", "earliest_ns", "latest_ns")
@@ -178,7 +183,8 @@ class TimedMove:
         return Gate(float(low.max()) * 1e6, float(high.min()) * 1e6, at_ns, apart_s)
 
     def start_ns(self, rate: CrystalRate, now_ns: int) -> tuple[int, int]:
-        """The earliest and the latest instant of its start, by all that was seen and a rate as it is known now."""
+        """Return the earliest and the latest instant of the start, by all observations and the current estimate of
+        the rate."""
         earliest_ns, latest_ns = self.started_ns
         if self._ended_ns is not None:
             least_ns, most_ns = rate.took_ns(self.duration_s, now_ns)
@@ -186,7 +192,7 @@ class TimedMove:
             latest_ns = min(latest_ns, ended_ns - least_ns)
             if moved_ns is not None:
                 earliest_ns = max(earliest_ns, moved_ns - most_ns)
-        # Up to a reading the crystal may have been off by the wander of the whole move.
+        # Up to a reading the crystal may deviate by the wander of the whole move.
         low, high = rate.span_ppm(now_ns, 3 * self.duration_s)
         for each in self._readings:
             earliest_ns = max(earliest_ns, floor(each.earliest_ns - each.last_ns / (1 + low * 1e-6)))
@@ -206,7 +212,7 @@ def _cruise(legs: Iterable[tuple[float, float, float]]) -> _Cruise | None:
 
 
 def _best(readings: list[_Reading]) -> list[_Reading]:
-    """Of each stretch the readings that say most of when they were passed at the earliest, and at the latest."""
+    """Select, for each section, the readings that bound their own instant most tightly, early and late."""
     begin, length = readings[0].first_ns, readings[-1].last_ns - readings[0].first_ns
     stretches: dict[int, list[_Reading]] = {}
     for each in readings:
@@ -218,7 +224,7 @@ def _best(readings: list[_Reading]) -> list[_Reading]:
 
 
 def _between(from_: _Floats, to: _Floats) -> _Floats:
-    """from each reading (row) to each other one (column)."""
+    """Return the difference of each reading (row) to each other one (column)."""
     return to[np.newaxis, :] - from_[:, np.newaxis]
 
 

@@ -1,8 +1,9 @@
 """Virtual time: an asyncio loop whose time jumps to the next timer, with processes that can hang and die.
 
-Everything that a virtual process schedules carries the process in its context. A handle of a frozen process
-is parked until the process is resumed; a handle of a killed one is dropped, so that no `finally` of it runs,
-as after `kill -9`. Ties are run in the order in which they were asked for, so a run depends on nothing but its seeds.
+Everything that a virtual process schedules carries the process in its context. A handle of a frozen process is
+parked until the process is resumed; a handle of a killed one is dropped, so that none of its `finally` blocks runs,
+as after `kill -9`. Calls of one instant run in the order in which they were scheduled, so a run depends only on its
+seeds.
 """
 
 import asyncio
@@ -18,17 +19,18 @@ from orchestrator.clock.utc import virtual_utc
 
 T = TypeVar("T")
 
-# A run makes and drops millions of small objects, hardly any in cycles: collecting as often as Python does by
-# itself costs a quarter of the time (measured on an hour of the demo fleet).
+# A run creates and drops millions of small objects, hardly any in cycles: Python's default collection interval costs a
+# quarter of the time (measured on an hour of the demo fleet).
 GC_ALLOCATIONS = 200_000
 
 
 class VirtualDeadlock(Exception):
-    """The main coroutine waits, and nothing is left that could ever happen."""
+    """The main coroutine waits, and no event is left that could wake it."""
 
 
 class Process:
-    """A process of the virtual fleet: what runs in its context can be frozen (SIGSTOP) and killed (SIGKILL)."""
+    """A process of the virtual fleet: everything that runs in its context can be frozen (SIGSTOP) and killed
+    (SIGKILL)."""
 
     def __init__(self, loop: "VirtualLoop", name: str) -> None:
         self.name = name
@@ -58,7 +60,7 @@ class Process:
             self._loop.call_exception_handler({"message": f"{self.name} failed", "exception": error})
 
     def on_death(self, callback: Callable[[], None]) -> None:
-        """What the kernel does when the process dies: close its sockets, drop its sessions."""
+        """Register an action of the kernel for the process's death: close its sockets, drop its sessions."""
         self._on_death.append(callback)
 
     def freeze(self) -> None:
@@ -66,13 +68,13 @@ class Process:
         self.frozen = True
 
     def resume(self) -> None:
-        """Like SIGCONT: everything that was due meanwhile runs now, in its order."""
+        """Like SIGCONT: everything that became due meanwhile runs now, in order."""
         self.frozen = False
         parked, self._parked = self._parked, []
         self._loop.requeue(parked)
 
     def kill(self) -> None:
-        """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead one."""
+        """Like SIGKILL: nothing of the process ever runs again. Does nothing to a dead process."""
         if not self.alive:
             return
         self.alive = False
@@ -80,7 +82,7 @@ class Process:
             self._loop.call_soon(callback, context=Context())
 
     def admits(self, handle: "_Handle") -> bool:
-        """Whether `handle` may run now; parks it when the process is frozen."""
+        """Return whether `handle` may run now; park it when the process is frozen."""
         if not self.frozen:
             return self.alive
         if self.alive:
@@ -92,7 +94,7 @@ _PROCESS: ContextVar[Process | None] = ContextVar("process", default=None)
 
 
 class _Handle:
-    """A call to be made: what `call_soon` and `call_at` return."""
+    """A scheduled call: the result of `call_soon` and `call_at`."""
 
     __slots__ = ("args", "callback", "context")
 
@@ -173,7 +175,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return task.result()
 
     def _run(self) -> None:
-        """Call what is ready, one after the other, until the loop is stopped."""
+        """Run ready calls one by one, until the loop is stopped."""
         ready = self._ready
         while not self._stopping:
             handle = ready.popleft() if ready else self._jump()
@@ -191,12 +193,12 @@ class VirtualLoop(asyncio.AbstractEventLoop):
                 self.call_exception_handler({"message": f"error in {callback!r}", "exception": error})
 
     def _jump(self) -> _Handle:
-        """Go to the next instant at which something is to happen: the first of it; the rest is made ready."""
+        """Advance to the next instant with scheduled calls, return the first of them, and make the rest ready."""
         timers, pop = self._timers, heapq.heappop
         while timers and timers[0][2].callback is None:
             pop(timers)
         if not timers:
-            raise VirtualDeadlock(f"nothing is left to happen at {self.now_ns} ns of virtual time")
+            raise VirtualDeadlock(f"no event is left at {self.now_ns} ns of virtual time")
         self.now_ns, _, first = pop(timers)
         while timers and timers[0][0] == self.now_ns:
             self._ready.append(pop(timers)[2])
@@ -212,7 +214,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return self._closed
 
     def close(self) -> None:
-        """End: what never finished is dropped without a word, because its process is gone with the loop."""
+        """Close the loop: unfinished calls are dropped silently, because their process ends with the loop."""
         self._closed = True
         self._ready.clear()
         self._timers.clear()
@@ -221,12 +223,12 @@ class VirtualLoop(asyncio.AbstractEventLoop):
                 task._log_destroy_pending = False  # noqa: SLF001 # pyright: ignore[reportAttributeAccessIssue]
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        """An error that nobody awaited stops the run: in virtual time it is always a defect."""
+        """Stop the run at an error that was not awaited: in virtual time it is always a defect."""
         error = context.get("exception")
         self._errors.append(error if isinstance(error, BaseException) else RuntimeError(str(context.get("message"))))
         self.stop()
 
-    # What asyncio asks of a loop
+    # The asyncio loop interface
 
     def create_future(self) -> "asyncio.Future[Any]":
         return asyncio.Future(loop=self)
@@ -249,7 +251,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
 
 class VirtualClock:
-    """The `Clock` of a virtual loop. wall_step_ns: by how much somebody has set the wall clock since the start."""
+    """The `Clock` of a virtual loop. wall_step_ns: total step of the wall clock since the start."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self.loop = loop
@@ -268,7 +270,8 @@ class VirtualClock:
     def call_at_ns(
         self, at_ns: int, callback: Callable[[], None], leeway_ns: int = 0, context: Context | None = None
     ) -> _Handle:
-        """Exactly then. context: the process that the call belongs to; the caller's without one."""
+        """Schedule a call exactly at the instant. context: the process that the call belongs to; the caller's by
+        default."""
         del leeway_ns
         return self.loop.call_at_ns(at_ns, callback, context=context)
 
@@ -276,7 +279,7 @@ class VirtualClock:
 def run_virtual(main: Callable[[VirtualClock], Coroutine[Any, Any, T]]) -> T:
     """Run `main(clock)` to its end in virtual time and return its result.
 
-    Raises what `main` raises, the first error of any task that nobody awaited, or `VirtualDeadlock`.
+    Raises what `main` raises, the first error of any task that was not awaited, or `VirtualDeadlock`.
     """
     loop = VirtualLoop()
     thresholds = gc.get_threshold()

@@ -1,1 +1,1 @@
-"""Queue, arm/commit/go, supervision, journal and reports: the one who decides."""
+"""The coordinator: leads a fleet, adopts its controllers, schedules jobs, and runs motion steps."""

@@ -1,8 +1,8 @@
 """The coordinator as a process of its own: `python -m orchestrator.coordinator.process --help`.
 
-Prints `ready` when it reigns, or stands by to reign as soon as nobody else does. Ends with SIGTERM or SIGINT (a running
-job is stopped first), with its parent, and when it is deposed. Exit codes: 2 bad input, 3 the bus can not be reached,
-4 another coordinator reigns, 5 the journal can not be used, 6 deposed.
+Prints `ready` when it leads, or stands by to lead as soon as there is no leader. Ends with SIGTERM or SIGINT
+(running jobs are stopped first), with its parent, and when it loses the leadership. Exit codes: 2 bad input, 3 the
+bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used, 6 the leadership was lost.
 """
 
 import argparse
@@ -22,18 +22,18 @@ from orchestrator.clock.executor import Threaded
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import Urgency, hurry, step_back
-from orchestrator.coordinator.coordinator import Coordinator, Court
+from orchestrator.coordinator.coordinator import Coordinator, CoordinatorEnvironment
 from orchestrator.coordinator.journal.journal import Journal, JournalError
-from orchestrator.coordinator.leadership.leadership import AnotherReigns
-from orchestrator.coordinator.leadership.standby import Reigning, vacancy
+from orchestrator.coordinator.leadership.leadership import AnotherLeader
+from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
 from orchestrator.model.files import FileError, load_fleet
 from orchestrator.model.fleet import Fleet
 
 BAD_INPUT, NO_BUS, ANOTHER, BAD_JOURNAL, DEPOSED = 2, 3, 4, 5, 6
 
 
-async def run(options: argparse.Namespace, urgent: bool) -> int:
-    """Reign until told to end; the exit code. urgent: whether it runs in real time."""
+async def run_coordinator(options: argparse.Namespace, urgent: bool) -> int:
+    """Lead until the process is to end; return the exit code. urgent: whether it has real-time priority."""
     fleet = load_fleet(options.fleet)
     bus = await open_bus(options.connect)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
@@ -41,41 +41,41 @@ async def run(options: argparse.Namespace, urgent: bool) -> int:
         loop.add_signal_handler(number, end.set)
     try:
         if options.standby:
-            _say_ready()
-            if not await _stood_by(options, bus, Keys(fleet.fleet), end):
+            _print_ready()
+            if not await _stand_by(options, bus, Keys(fleet.fleet), end):
                 return 0
-            # It may have been reloaded meanwhile.
+            # The fleet may have been reloaded meanwhile.
             fleet = load_fleet(options.fleet)
-        return await _reign(options, fleet, bus, end, urgent)
+        return await _lead(options, fleet, bus, end, urgent)
     finally:
         await bus.close()
 
 
-async def _stood_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyncio.Event) -> bool:
-    """Wait until nobody reigns, and see to it that who did is gone; False when this process is to end."""
-    vacant = asyncio.ensure_future(vacancy(bus, keys, LiveClock()))
+async def _stand_by(options: argparse.Namespace, bus: Bus, keys: Keys, end: asyncio.Event) -> bool:
+    """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end."""
+    vacant = asyncio.ensure_future(wait_for_vacancy(bus, keys, LiveClock()))
     ended = asyncio.ensure_future(end.wait())
     await asyncio.wait([vacant, ended], return_when=asyncio.FIRST_COMPLETED)
     for wait in (vacant, ended):
         wait.cancel()
     if end.is_set():
         return False
-    killed = Reigning(options.journal).end_other()
+    killed = LeaderFile(options.journal).kill_other_process()
     if killed:
         log = Log("coordinator", "standby", LiveClock(), file_sink(options.log), bus, keys)
-        log.warning(f"the coordinator of process {killed} was silent and is ended; taking over")
+        log.warning(f"the coordinator in process {killed} was silent and has been killed; taking over")
     return True
 
 
-async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, urgent: bool) -> int:
+async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, urgent: bool) -> int:
     loop = asyncio.get_running_loop()
     journal, runs = Journal(options.journal), Threaded("journal")
-    court = Court(
+    court = CoordinatorEnvironment(
         bus=bus,
         keys=Keys(fleet.fleet),
         clock=LiveClock(),
         journal=journal,
-        runs=runs,
+        execute=runs,
         new_id=lambda: uuid.uuid4().hex,
         sink=file_sink(options.log),
         save_fleet=lambda taken: save_fleet(options.fleet, taken),
@@ -83,33 +83,33 @@ async def _reign(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: async
     coordinator = Coordinator(fleet, court)
     try:
         if urgent:
-            # Adapters stop without it: what it does about its jobs must not keep them from that.
+            # The adapters stop without the leader: the ends of its jobs must not delay that.
             await bus.subscribe(court.keys.estop, lambda _: step_back(Urgency.SERVICE))
-        await coordinator.start(options.take_over, vacant=options.standby)
-        Reigning(options.journal).write()
+        await coordinator.start(take_over=options.take_over, vacant=options.standby)
+        LeaderFile(options.journal).write_own_process()
         begin_live()
         if not options.standby:
-            _say_ready()
-        waits = [loop.create_task(end.wait()), loop.create_task(coordinator.deposed.wait())]
+            _print_ready()
+        waits = [loop.create_task(end.wait()), loop.create_task(coordinator.leadership_lost.wait())]
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for wait in waits:
             wait.cancel()
-        deposed = coordinator.deposed.is_set()
+        deposed = coordinator.leadership_lost.is_set()
         if not deposed:
             await coordinator.close()
         return DEPOSED if deposed else 0
     finally:
-        # In its own thread, behind what still writes there: closed under a call, SQLite ends the whole process.
+        # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
 
 
-def _say_ready() -> None:
+def _print_ready() -> None:
     sys.stdout.write("ready\n")
     sys.stdout.flush()
 
 
 def save_fleet(path: Path, fleet: Fleet) -> None:
-    """Replace the file as a whole: who is started with it again must find what the fleet runs with."""
+    """Replace the file as a whole: a restart must find the configuration that the fleet runs with."""
     fresh = path.with_suffix(".new")
     fresh.write_text(fleet.model_dump_json(), encoding="utf-8")
     fresh.replace(path)
@@ -121,18 +121,18 @@ def main() -> int:
     parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--journal", type=Path, required=True)
     parser.add_argument("--log", type=Path, required=True)
-    parser.add_argument("--take-over", action="store_true", help="reign although another coordinator does")
-    parser.add_argument("--standby", action="store_true", help="reign as soon as nobody else does on this journal")
-    parser.add_argument("--parent", type=int, default=0, help="end when this process does")
+    parser.add_argument("--take-over", action="store_true", help="lead even if another coordinator does")
+    parser.add_argument("--standby", action="store_true", help="lead as soon as there is no leader on this journal")
+    parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
     if options.parent:
         die_with_parent(options.parent)
     urgent = hurry(Urgency.SERVICE)
     try:
-        return asyncio.run(run(options, urgent))
-    except (FileError, RouterUnreachable, AnotherReigns, JournalError) as error:
+        return asyncio.run(run_coordinator(options, urgent))
+    except (FileError, RouterUnreachable, AnotherLeader, JournalError) as error:
         sys.stderr.write(f"{error}\n")
-        codes = {FileError: BAD_INPUT, RouterUnreachable: NO_BUS, AnotherReigns: ANOTHER, JournalError: BAD_JOURNAL}
+        codes = {FileError: BAD_INPUT, RouterUnreachable: NO_BUS, AnotherLeader: ANOTHER, JournalError: BAD_JOURNAL}
         return codes[type(error)]
 
 

@@ -1,1 +1,1 @@
-"""What a link is: bytes with time stamps, and in-memory links that model a wire. No drivers."""
+"""Links: bytes with time stamps, and in-memory links that model a wire. No drivers."""

@@ -4,35 +4,36 @@ from typing import NamedTuple, Protocol
 
 
 class LinkRefused(Exception):
-    """The link can not be opened. Says which, why, and what to do."""
+    """The link cannot be opened. The text names it, the reason, and the remedy."""
 
 
 class LinkClosed(Exception):
-    """The link is closed, by us, by the other side, or by the wire. Names it."""
+    """The link is closed, by this side, by the other side, or by the wire. The text names it."""
 
 
 class Received(NamedTuple):
-    """Bytes as they came. at_ns: host time when the last of them was taken from the operating system."""
+    """Received bytes. at_ns: host time when the last of them was read from the operating system."""
 
     data: bytes
     at_ns: int
 
 
 class Link(Protocol):
-    """One open way to one controller. Not shared between tasks, but for `write` of a stop."""
+    """One open connection to one controller. Not shared between tasks, except for `write` of a stop."""
 
     @property
     def place(self) -> str:
-        """Where it leads, for people: `tcp 127.0.0.1:2300`, `serial /dev/ttyUSB0`."""
+        """A description of the endpoint for people: `tcp 127.0.0.1:2300`, `serial /dev/ttyUSB0`."""
         ...
 
     @property
     def char_ns(self) -> int:
-        """How long one byte takes on the wire, ns; 0 where that does not matter (Ethernet)."""
+        """How long one byte takes on the wire, ns; 0 where it does not matter (Ethernet)."""
         ...
 
     def write(self, data: bytes) -> int:
-        """Hand `data` to the operating system, without blocking. Host time just before it. Raises `LinkClosed`."""
+        """Pass `data` to the operating system, without blocking. Returns the host time just before. Raises
+        `LinkClosed`."""
         ...
 
     async def read(self) -> Received:
@@ -44,7 +45,7 @@ class Link(Protocol):
         ...
 
     def wrote(self, at_ns: int, data: bytes) -> None:
-        """Take note that a firing process has written `data` to the descriptor at host time `at_ns`."""
+        """Record that a firing process has written `data` to the descriptor at host time `at_ns`."""
         ...
 
     async def close(self) -> None:
@@ -53,8 +54,8 @@ class Link(Protocol):
 
 
 class OpenLink(Protocol):
-    """How an adapter gets its links; live they are sockets and ports, in virtual time memory."""
+    """How an adapter opens its links: live they are sockets and ports, in virtual time memory."""
 
     async def __call__(self) -> Link:
-        """A further link to the controller. Raises `LinkRefused`."""
+        """Open a further link to the controller. Raises `LinkRefused`."""
         ...

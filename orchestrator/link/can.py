@@ -1,8 +1,9 @@
 """CAN frames over a link.
 
-A link to a CAN bus is a `Link` like any other: its bytes are whole frames, each in the 16 bytes of SocketCAN's `struct
-can_frame` (identifier with its flags, length, three of padding, eight of data). So everything that holds for bytes (the
-firing process, a guardian's stop, the trace, faults on a wire) holds for frames. `CanLink` is the face of it in frames.
+A link to a CAN bus is a `Link` like any other: its bytes are whole frames, each in the 16 bytes of SocketCAN's
+`struct can_frame` (identifier with its flags, length, three bytes of padding, eight of data). So whatever works on
+bytes (the firing process, a guardian's stop, the trace, faults on a wire) works on frames. `CanLink` is the
+interface in frames.
 """
 
 import struct
@@ -26,15 +27,15 @@ _EXTENDED_MASK = 0x1FFF_FFFF
 ERROR_PASSIVE = 0x004
 """The CAN controller of this end has become error passive, or is no longer (data[1] tells which)."""
 ERROR_NO_ACKNOWLEDGE = 0x020
-"""Nobody on the bus has acknowledged a frame of ours."""
+"""No node on the bus has acknowledged a frame of this end."""
 ERROR_BUS_OFF = 0x040
 """The CAN controller of this end has left the bus; nothing is sent until it is restarted."""
 ERROR_ON_BUS = 0x080
 """A frame on the bus was destroyed."""
 ERROR_RESTARTED = 0x100
-"""The CAN controller of this end is back on the bus. What it was to send has been thrown away."""
+"""The CAN controller of this end is back on the bus. Frames that waited to be sent have been discarded."""
 
-# Bits of a frame that can be stuffed (SOF to the end of the CRC, without data), and those behind them that can not
+# Bits of a frame that can be stuffed (SOF to the end of the CRC, without data), and the bits after them that cannot
 # (CRC delimiter, acknowledge slot and delimiter, end of frame, intermission).
 STUFFED_BITS = 34
 STUFFED_BITS_EXTENDED = 54
@@ -44,9 +45,9 @@ INTERMISSION_BITS = 3
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """One frame. id: 11 bits, 29 if `extended`. rtr: it asks for data; `data` is then as long as what is asked for, and
-    empty of meaning. error: it was never on the bus: the CAN controller of this end tells of a trouble, `id` says which
-    (`ERROR_…`)."""
+    """One frame. id: 11 bits, 29 if `extended`. rtr: it requests data; `data` then has the requested length, and its
+    content is meaningless. error: it was never on the bus: the CAN controller of this end reports an error, `id`
+    names it (`ERROR_…`)."""
 
     id: int
     data: bytes = b""
@@ -62,20 +63,20 @@ class CanFrame:
             raise ValueError(f"a CAN frame carries up to 8 bytes, not {len(self.data)}")
 
     def __str__(self) -> str:
-        """As candump writes it: `201#0F00`."""
+        """In candump's notation: `201#0F00`."""
         name = f"{self.id | _ERROR:08X}" if self.error else f"{self.id:08X}" if self.extended else f"{self.id:03X}"
         return f"{name}#" + (f"R{len(self.data)}" if self.rtr else self.data.hex().upper())
 
 
 class CanReceived(NamedTuple):
-    """A frame as it came. at_ns: host time when it was taken from the operating system."""
+    """A received frame. at_ns: host time when it was read from the operating system."""
 
     frame: CanFrame
     at_ns: int
 
 
 def encode(*frames: CanFrame) -> bytes:
-    """The bytes of `frames` on a link; also what a `Firer` and a make's `stop_bytes` want."""
+    """Encode frames for a link; also for a `Firer` and a make's `stop_bytes`."""
     return b"".join(map(_encode, frames))
 
 
@@ -86,15 +87,15 @@ def _encode(frame: CanFrame) -> bytes:
 
 
 def decode(data: bytes) -> list[CanFrame]:
-    """The whole frames of `data`. `ValueError` when it is not a multiple of 16 bytes, or no frame."""
+    """Decode the whole frames of `data`. Raises `ValueError` if it is not a multiple of 16 bytes, or not a frame."""
     if len(data) % FRAME_BYTES:
-        raise ValueError(f"{len(data)} bytes are no whole CAN frames of {FRAME_BYTES} bytes")
+        raise ValueError(f"{len(data)} bytes are not whole CAN frames of {FRAME_BYTES} bytes")
     return [_decode(data[at : at + FRAME_BYTES]) for at in range(0, len(data), FRAME_BYTES)]
 
 
 @lru_cache(maxsize=4096)
 def _decode(data: bytes) -> CanFrame:
-    """Drives at rest say the same few frames again and again."""
+    """Cached, because drives at rest repeat the same few frames."""
     word, length, payload = struct.unpack("<IB3x8s", data)
     return CanFrame(
         id=word & _EXTENDED_MASK,
@@ -112,7 +113,7 @@ class FrameReader:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[CanFrame]:
-        """The frames that are complete with `data`."""
+        """Add `data` and return the frames that are complete."""
         self._rest += data
         whole = len(self._rest) // FRAME_BYTES * FRAME_BYTES
         frames, self._rest = decode(self._rest[:whole]), self._rest[whole:]
@@ -120,18 +121,18 @@ class FrameReader:
 
 
 def longest_bits(frame: CanFrame) -> int:
-    """Bits of `frame` on the bus with all stuff bits that there can be, and the intermission behind it."""
+    """Bits of `frame` on the bus with the maximum of stuff bits, and the intermission after it."""
     stuffed = (STUFFED_BITS_EXTENDED if frame.extended else STUFFED_BITS) + (0 if frame.rtr else 8 * len(frame.data))
     return stuffed + (stuffed - 1) // 4 + FIXED_BITS
 
 
 def frame_ns(frame: CanFrame, bitrate: int) -> int:
-    """How long `frame` is on a bus of `bitrate` bits/s at the most, with the intermission behind it, ns."""
+    """The maximum time of `frame` on a bus of `bitrate` bits/s, with the intermission after it, ns."""
     return -(-longest_bits(frame) * 1_000_000_000 // bitrate)
 
 
 class CanLink:
-    """One open way to one CAN bus, in frames: `CanLink(await setup.open_link(), setup.config.link.bitrate)`."""
+    """One open connection to one CAN bus, in frames: `CanLink(await setup.open_link(), setup.config.link.bitrate)`."""
 
     def __init__(self, link: Link, bitrate: int) -> None:
         self._link = link
@@ -154,14 +155,15 @@ class CanLink:
         return self._link
 
     def frame_ns(self, frame: CanFrame) -> int:
-        """How long `frame` is on this bus at the most, ns."""
+        """The maximum time of `frame` on this bus, ns."""
         return frame_ns(frame, self._bitrate)
 
     def send(self, *frames: CanFrame) -> int:
-        """Hand frames to the CAN controller of this end, in their order, without blocking. Host time just before it.
+        """Pass frames to the CAN controller of this end, in order, without blocking. Returns the host time just
+        before.
 
-        It sends each as soon as the bus is free and no frame with a lower identifier wants it, and tries again until
-        somebody has acknowledged it. Raises `LinkClosed`.
+        It sends each as soon as the bus is free and no frame with a lower identifier waits, and repeats it until it
+        is acknowledged. Raises `LinkClosed`.
         """
         return self._link.write(encode(*frames))
 

@@ -30,7 +30,7 @@ NodeState = Literal["active", "passive", "off"]
 PASSIVE_FROM = 128
 OFF_FROM = 256
 SUSPENDED_BITS = 8
-"""An error-passive node leaves the bus to others for so long after it has sent."""
+"""An error-passive node leaves the bus to others for this long after it has sent."""
 ERROR_FRAME_BITS = 6 + 6 + 8
 """Error flag, its echo by the others, delimiter."""
 RECOVERY_BITS = 128 * 11
@@ -53,11 +53,11 @@ _RUN = re.compile("0+|1+")
 
 @lru_cache(maxsize=8192)
 def exact_bits(frame: CanFrame) -> int:
-    """Bits of `frame` on the bus with the stuff bits that it has, and the intermission behind it."""
+    """Bits of `frame` on the bus with its actual stuff bits, and the intermission after it."""
     bits = stuffable(frame)
     stuffed = carried = 0
     for run in _RUN.findall(bits):
-        # The bit that is stuffed in behind five equal ones is the first of the next run.
+        # The bit that is stuffed after five equal ones is the first of the next run.
         length = len(run) + carried
         stuffed += length // 5
         carried = length % 5 == 0
@@ -75,7 +75,7 @@ def stuffable(frame: CanFrame) -> str:
     if not frame.rtr:
         word, width = word << 8 * length | int.from_bytes(frame.data, "big"), width + 8 * length
     crc = 0
-    # Zeros in front change nothing: the CRC begins with 0.
+    # Leading zeros change nothing: the CRC begins with 0.
     for byte in word.to_bytes((width + 7) // 8, "big"):
         crc = crc << 8 & 0x7FFF ^ _CRC[crc >> 7 ^ byte]
     return f"{word << 15 | crc:0{width + 15}b}"
@@ -92,8 +92,8 @@ def _rank(frame: CanFrame) -> int:
 class CanNode:
     """One CAN controller on the bus. Made by `MemoryCanBus.attach`.
 
-    by_identifier: of its waiting frames the one with the lowest identifier is sent first, not the oldest. accepts: the
-    identifiers that its acceptance filter lets through; None: all.
+    by_identifier: the waiting frame with the lowest identifier is sent first, not the oldest. accepts: identifiers
+    that pass its acceptance filter; None: all.
     """
 
     _bus: "MemoryCanBus"
@@ -118,28 +118,29 @@ class CanNode:
 
     @property
     def hears(self) -> bool:
-        """Whether it takes part in what happens on the bus."""
+        """Whether it takes part in the traffic on the bus."""
         return self.connected and not self.off and self.bitrate == self._bus.bitrate
 
     def send(self, *frames: CanFrame) -> None:
-        """Frames for the bus. One that is switched off, or in bus-off, sends nothing, now or later."""
+        """Queue frames. A node that is switched off, or in bus-off, sends nothing, now or later."""
         if self.connected and not self.off:
             self.waiting.extend(frames)
             self._bus.kick()
 
     def best(self) -> CanFrame:
-        """The waiting frame that is next."""
+        """The waiting frame that is sent next."""
         return min(self.waiting, key=_rank) if self.by_identifier else self.waiting[0]
 
     def connect(self, connected: bool) -> None:
-        """Switch it on, its counters at 0 and nothing to send, or off. A frame that it sends just then is spoilt."""
+        """Switch the node on, with its counters at 0 and nothing to send, or off. A frame that it sends just then is
+        destroyed."""
         self.connected, self.off = connected, False
         self.forget()
         if connected:
             self._bus.wake()
 
     def restart(self) -> None:
-        """Leave bus-off, after as many idle bits as the standard demands. Nothing waits to be sent any more."""
+        """Leave bus-off, after as many idle bits as the standard demands. Waiting frames have been discarded."""
         if self.off:
             self.waiting.clear()
             bus = self._bus
@@ -157,10 +158,10 @@ class CanNode:
         self.waiting.clear()
         self.parked = False
 
-    # What the bus tells it
+    # Notifications from the bus
 
     def count(self, transmit: int = 0, receive: int = 0) -> None:
-        """Add to the error counters; says when that changes the node's state."""
+        """Add to the error counters; report a change of the node's state."""
         before = self.state
         self.transmit_errors = max(0, self.transmit_errors + transmit)
         # A receiver that has been passive is nearly so after its first good frame.
@@ -179,18 +180,18 @@ def _ignore(trouble: int) -> None:
 
 
 class MemoryCanBus:
-    """One bus. bitrate: bits/s. error_rate: the chance that a frame is destroyed. seed: of those."""
+    """One bus. bitrate: bits/s. error_rate: probability that a frame is destroyed. seed: of the random errors."""
 
     def __init__(self, clock: Clock, bitrate: int, seed: int = 0, error_rate: float = 0.0) -> None:
         self.clock = clock
         self.bitrate = bitrate
         self.error_rate = error_rate
         self.cut = False
-        """The wire is broken right behind every node: nobody hears anybody."""
+        """The wire is broken next to every node: no node receives another."""
         self.busy_ns = 0
-        """How long frames and error frames have been on the bus since it was made, intermissions included."""
+        """Total time of frames and error frames on the bus since it was made, intermissions included."""
         self.frames = 0
-        """How many frames have been sent on it since it was made."""
+        """Number of frames sent since it was made."""
         self._nodes: list[CanNode] = []
         self._listeners: list[Callable[[CanFrame, int, int], None]] = []
         self._draw = Random(seed)
@@ -211,7 +212,8 @@ class MemoryCanBus:
         bitrate: int | None = None,
         by_identifier: bool = False,
     ) -> CanNode:
-        """A further node. receive: gets frames of others, when they are over. trouble: gets `ERROR_…` of this node."""
+        """Attach a further node. receive: called with frames of others, at their end. trouble: called with `ERROR_…`
+        of this node."""
         node = CanNode(self, receive, trouble, bitrate or self.bitrate, by_identifier)
         self._nodes.append(node)
         self.wake()
@@ -227,20 +229,20 @@ class MemoryCanBus:
         self._listeners.append(listener)
 
     def disturb(self, frames: int) -> None:
-        """Destroy the next so many frames, repetitions included."""
+        """Destroy the next `frames` frames, repetitions included."""
         self._disturbed += frames
 
     def later(self, duration_ns: float, callback: Callable[[], None]) -> None:
         self.clock.call_at_ns(self.clock.now_ns() + round(duration_ns), callback)
 
     def wake(self) -> None:
-        """Somebody has come who may acknowledge: what was given up is tried again."""
+        """A node has appeared that may acknowledge: retry frames that were given up."""
         for node in self._nodes:
             node.parked = False
         self.kick()
 
     def kick(self) -> None:
-        """See to it that the next frame starts when it can."""
+        """Make sure that the next frame starts when it can."""
         if self._sending:
             return
         ready = [node for node in self._nodes if node.waiting and not node.parked]
@@ -325,7 +327,7 @@ class MemoryCanBus:
             if node.state == "active":
                 node.count(transmit=8)
             else:
-                # A passive node goes on trying for ever without counting, and nothing on the bus changes by it.
+                # A passive node retries for ever without counting, and nothing on the bus changes by it.
                 node.parked = True
                 node.trouble(ERROR_NO_ACKNOWLEDGE)
             self._suspend(node)

@@ -1,7 +1,7 @@
 """Links in memory that model a wire, for virtual time: character times, latency and its tail, USB receive delay.
 
-Bytes in flight belong to the wire: they arrive although their sender has died meanwhile, and they are handed to
-the receiver in the receiver's own context, so that a frozen receiver takes them only when it is resumed.
+Bytes in flight belong to the wire: they arrive even if their sender has died meanwhile, and they are delivered in
+the receiver's own context, so that a frozen receiver takes them only when it is resumed.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import LinkClosed, LinkRefused, Received
 from orchestrator.link.supply import NEVER_NS, Supply
 
-PIECE_CHARACTERS = 62  # of a serial line that are received at a time, as many as a USB adapter's packet holds
+PIECE_CHARACTERS = 62  # characters of a serial line that are received together, as many as a USB adapter's packet holds
 
 
 class FarConnection(Protocol):
@@ -33,14 +33,14 @@ class FarConnection(Protocol):
 
 
 class FarEnd(Protocol):
-    """A controller that links can be opened to."""
+    """A controller that accepts links."""
 
     def connect(self, port: str, send: Callable[[bytes], None], closed: Callable[[], None]) -> FarConnection: ...
 
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """What a wire does to bytes. Times in ns.
+    """The timing of a wire, in ns.
 
     char_ns: one character, 10 bits at the baud rate (0: Ethernet). latency_ns + uniform jitter_ns each way; with
     probability tail_chance up to tail_ns more. hold_ns: a receive delay of 0 to this much (a USB adapter's
@@ -56,8 +56,8 @@ class WireModel:
 
 
 LAN = WireModel()
-PROMISED_NS = 1_000_000  # what adapters count on for a line of theirs, if told nothing else (`wire_jitter_us`)
-STARTED_BY_NS = 300_000_000  # of the lines before a start, any may be what starts it, or keep up the one that does
+PROMISED_NS = 1_000_000  # jitter that adapters assume for a line, unless configured (`wire_jitter_us`)
+STARTED_BY_NS = 300_000_000  # of the lines before a start, any may be what starts it, or delay the one that does
 
 
 def serial_wire(baud: int, bits: int = 10, hold_ns: int = 0) -> WireModel:
@@ -72,7 +72,7 @@ def can_wire(hold_ns: int = 0) -> WireModel:
 
 
 def in_pieces(data: bytes) -> list[bytes]:
-    """What a serial line hands over at a time."""
+    """Split data into the pieces that a serial line delivers."""
     return [data[begin : begin + PIECE_CHARACTERS] for begin in range(0, len(data), PIECE_CHARACTERS)]
 
 
@@ -80,9 +80,9 @@ def in_pieces(data: bytes) -> list[bytes]:
 class MemoryWire:
     """The wire to one port of one simulated controller. Faults are injected here, from outside.
 
-    far_context: the context of the process that the controller lives in. closed_ns: when it hears, or has heard, that
-    the last link was closed. late_ns: when lines to the controller were
-    written that were longer on their way than latency and jitter, by the tail.
+    far_context: the context of the process that the controller lives in. closed_ns: when the close of the last link
+    reaches, or has reached, the controller. late_ns: when lines to the controller were written that were delayed
+    beyond latency and jitter, by the tail.
     """
 
     clock: VirtualClock
@@ -106,11 +106,11 @@ class MemoryWire:
         self.draw = Random(self.seed)
 
     async def open(self) -> "MemoryLink":
-        """A link from the calling process. Raises `LinkRefused`."""
+        """Open a link from the calling process. Raises `LinkRefused`."""
         if self.refuse:
             raise LinkRefused(f"{self.place}: connection refused; is the controller switched on?")
         if self.closed_ns > self.clock.now_ns():
-            # A port can be opened again at once, and what a connection has said last comes before the next one.
+            # A port can be opened again at once; the last bytes of one connection arrive before the next one begins.
             await sleep_until_ns(self.clock, self.closed_ns)
         link = MemoryLink(self)
         opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
@@ -131,15 +131,15 @@ class MemoryWire:
         return link
 
     def run_far(self, callback: Callable[[], None]) -> None:
-        """Let the controller's process run `callback`, when it runs at all."""
+        """Run `callback` in the controller's process, when it runs at all."""
         asyncio.get_running_loop().call_soon(callback, context=self.far_context)
 
     def later(self, at_ns: int, callback: Callable[[], None]) -> None:
-        """Call `callback` at `at_ns` as a thing of the wire, which no process can hang."""
+        """Call `callback` at `at_ns` as an event of the wire, which a hung process does not delay."""
         self.clock.call_at_ns(at_ns, callback, context=self._outside)
 
     def kept_a_start(self, start_ns: int) -> bool:
-        """Whether a line that may have had to do with a start at that instant was late: nobody can know of it."""
+        """Whether a line that may have affected a start at that instant was late, which no process can detect."""
         return any(start_ns - STARTED_BY_NS < each <= start_ns for each in self.late_ns)
 
     def delay_ns(self) -> int:
@@ -167,7 +167,7 @@ class MemoryLink:
         self._last_near_ns = 0
 
     def connect(self) -> None:
-        """Runs in the controller's process. Raises what the controller says."""
+        """Runs in the controller's process. Raises what the controller raises."""
         self._far = self._wire.far.connect(self._wire.port, self._from_far, self._far_closed)
 
     @property
@@ -219,7 +219,7 @@ class MemoryLink:
             delay_ns += wire.draw.randrange(wire.model.hold_ns + 1)
         lost_ns = NEVER_NS if self._far is None else self._far.supply.lost_ns
         if lost_ns >= self._said_ns:
-            # Of what was said before, nothing is still to be sent, and little on its way.
+            # Of what was sent before, nothing is still queued, and little is in flight.
             self._in_free_ns = now_ns
             self._last_near_ns = min(self._last_near_ns, lost_ns + PIECE_CHARACTERS * char_ns + delay_ns)
         self._said_ns = now_ns
@@ -261,7 +261,7 @@ class MemoryLink:
                 await self._waiting
             finally:
                 self._waiting = None
-        # A process that was frozen meanwhile sees the bytes when it runs again, as from a socket.
+        # A process that was frozen meanwhile gets the bytes when it runs again, as from a socket.
         received = self._received.popleft()
         return Received(received.data, max(received.at_ns, self._wire.clock.now_ns()))
 
@@ -269,7 +269,7 @@ class MemoryLink:
         self.hang_up()
 
     def hang_up(self) -> None:
-        """Close at once; also what the kernel does for a process that died."""
+        """Close at once; the kernel does this for a process that died."""
         if not self._open:
             return
         self._shut()

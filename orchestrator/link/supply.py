@@ -1,5 +1,5 @@
-"""The supply of who is at the far end of a serial line: what it says while it loses power is cut off, and of what is
-said to it while it gets power it hears the rest."""
+"""The power supply of the far end of a serial line: what it sends while it loses power is cut off, and it receives
+only what arrives after it gets power."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ NEVER_NS = -(2**63)
 
 @dataclass(slots=True)
 class Supply:
-    """lost_ns, back_ns: when power was lost, and was there again, the last time."""
+    """lost_ns, back_ns: when power was last lost, and restored."""
 
     lost_ns: int = NEVER_NS
     back_ns: int = NEVER_NS
@@ -21,13 +21,14 @@ class Supply:
             self.lost_ns = at_ns
 
     def left(self, data: bytes, said_ns: int, ends_ns: int, char_ns: int) -> bytes:
-        """What has left a port, of characters of `char_ns` each that were said at `said_ns` and end at `ends_ns`."""
+        """The part that has left a port, of characters of `char_ns` each, sent at `said_ns`, ending at `ends_ns`."""
         if not said_ns <= self.lost_ns < ends_ns:
             return data
         return data[: max(0, len(data) + (self.lost_ns - ends_ns) // char_ns)]
 
     def heard(self, data: bytes, ends_ns: int, char_ns: int) -> bytes:
-        """What is heard of characters of `char_ns` each that end at `ends_ns`: those that begin under power."""
+        """The part that is received of characters of `char_ns` each that end at `ends_ns`: those that begin under
+        power."""
         if self.back_ns <= ends_ns - len(data) * char_ns:
             return data
         heard = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)

@@ -6,7 +6,7 @@ from typing import Literal
 from orchestrator.link.base import Link, Received
 
 KEPT_NS = 60_000_000_000
-KEPT_ENTRIES = 20_000  # a bound on memory for a link that never rests
+KEPT_ENTRIES = 20_000  # bounds the memory of a link that is always busy
 
 Direction = Literal["out", "in"]
 Entry = tuple[int, Direction, bytes]
@@ -21,7 +21,7 @@ class TraceRing:
     def add(self, at_ns: int, direction: Direction, data: bytes) -> None:
         late = self._entries and at_ns < self._entries[-1][0]
         self._entries.append((at_ns, direction, data))
-        if late:  # what another process wrote is told afterwards
+        if late:  # bytes written by another process are recorded afterwards
             self._entries = deque(sorted(self._entries, key=lambda entry: entry[0]), maxlen=KEPT_ENTRIES)
         while self._entries[0][0] < at_ns - KEPT_NS:
             self._entries.popleft()
@@ -35,7 +35,7 @@ class TraceRing:
 
 
 class TracedLink:
-    """A link whose bytes go into a ring as they pass."""
+    """A link whose bytes are recorded in a ring."""
 
     def __init__(self, link: Link, ring: TraceRing) -> None:
         self._link = link

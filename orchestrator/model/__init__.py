@@ -1,1 +1,2 @@
-"""The words everybody shares, as values: fleet, job, profile, state, messages, report. Imports nothing of ours."""
+"""Values shared by all packages: fleet, job, profile, state, messages, report, errors. Imports no other package of
+Tutti."""

@@ -1,4 +1,4 @@
-"""What all models have in common: strict, frozen, finite."""
+"""The base of all models: strict, frozen, finite numbers only."""
 
 from fractions import Fraction
 from functools import lru_cache
@@ -9,30 +9,31 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 ID_PATTERN = r"^[a-z0-9_-]+$"
 
 Id = Annotated[str, Field(pattern=ID_PATTERN, min_length=1, max_length=64)]
-"""An id as it stands in a bus key."""
+"""An id as it appears in a bus key."""
 
-# JSON numbers are doubles to many readers: integers stay exact below 2^53.
+# Many JSON readers hold numbers as doubles: integers are exact below 2^53 only.
 Int53 = Annotated[int, Field(ge=-(2**53 - 1), le=2**53 - 1)]
 
 HostNs = Annotated[int, BeforeValidator(lambda value: int(value)), PlainSerializer(str, when_used="json")]
-"""A host instant in ns. It may pass 2^53 (104 days after boot), so it crosses the bus as decimal text."""
+"""A host instant in ns. It can exceed 2^53 (104 days after boot), so it is sent over the bus as decimal text."""
 
 
 def parse_rational(value: object) -> Fraction:
-    """An exact rational from an int, `"10000/3"` or `"0.25"`; a float is taken as the decimal it prints as."""
-    if type(value) is Fraction:  # not by isinstance: of an abstract class that takes longer than all the rest
+    """Parse an exact rational from an int, `"10000/3"` or `"0.25"`; a float counts as the decimal that it prints."""
+    # not isinstance: Fraction is an abstract number class, and isinstance costs more than the rest of this function
+    if type(value) is Fraction:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
     try:
         return _rational(str(value))
     except (ValueError, ZeroDivisionError):
-        raise ValueError(f'{value!r} is no number; write e.g. 400, 0.25, or "10000/3"') from None
+        raise ValueError(f'{value!r} is not a number; write e.g. 400, 0.25, or "10000/3"') from None
 
 
 @lru_cache(maxsize=1024)
 def _rational(text: str) -> Fraction:
-    """States say the same few offsets again and again."""
+    """Cached, because states repeat the same few offsets."""
     return Fraction(text.replace(" ", ""))
 
 
@@ -45,7 +46,7 @@ Rational = Annotated[
 
 
 class UnknownName(ValueError):
-    """A reference to something that the file does not define. `name` is the text of the reference."""
+    """A reference to a name that the file does not define. `name` is the text of the reference."""
 
     def __init__(self, name: str, text: str) -> None:
         super().__init__(text)
@@ -66,9 +67,9 @@ class Model(BaseModel):
     )
 
     def to_json(self) -> bytes:
-        """The bus form: UTF-8 JSON."""
+        """Encode for the bus: UTF-8 JSON."""
         return self.model_dump_json().encode()
 
     def to_plain(self) -> dict[str, Any]:
-        """The JSON form as plain Python values."""
+        """Convert to the JSON form in plain Python values."""
         return self.model_dump(mode="json")

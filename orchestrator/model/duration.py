@@ -1,4 +1,4 @@
-"""Durations in files: text with a unit, held as whole nanoseconds."""
+"""Durations in files: text with a unit; whole nanoseconds in the program."""
 
 import re
 from decimal import Decimal
@@ -11,16 +11,18 @@ _TEXT = re.compile(r"^\s*(\d+\.?\d*|\.\d+)\s*(ns|us|µs|ms|s|min|h)\s*$")
 
 
 def parse_duration(value: object) -> int:
-    """Nanoseconds of `"10 ms"`, `"1.5 s"`, `"2 min"`. A bare number is refused: nobody can tell its unit."""
+    """Parse `"10 ms"`, `"1.5 s"` or `"2 min"` to nanoseconds. A bare number is refused: its unit is ambiguous."""
     found = _TEXT.match(value) if isinstance(value, str) else None
     if not found:
-        raise ValueError(f'{value!r} is no duration; write a number and a unit (ns, us, ms, s, min, h), e.g. "10 ms"')
+        raise ValueError(
+            f'{value!r} is not a duration; write a number and a unit (ns, us, ms, s, min, h), e.g. "10 ms"'
+        )
     number, unit = found.groups()
     return int(Decimal(number) * _NS[unit.replace("µ", "u")])
 
 
 def format_ns(duration_ns: float) -> str:
-    """A duration for people: three significant digits in the fitting unit, e.g. `1.25 ms`."""
+    """Format a duration with three significant digits in the fitting unit, e.g. `1.25 ms`."""
     size = abs(duration_ns)
     for unit in ("s", "ms", "us"):
         if size >= _NS[unit]:
@@ -35,4 +37,4 @@ Duration = Annotated[
     PlainSerializer(lambda duration_ns: f"{duration_ns} ns"),
     WithJsonSchema({"type": "string", "pattern": _TEXT.pattern}),
 ]
-"""A span of time in a file, `"10 ms"`; nanoseconds in the program."""
+"""A span of time: `"10 ms"` in a file, nanoseconds in the program."""

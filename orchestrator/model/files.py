@@ -1,4 +1,4 @@
-"""Reading fleet and job files: YAML in, models out, and errors that name file, line, field and remedy."""
+"""Read fleet and job files: YAML in, models out; errors name file, line, field and remedy."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from orchestrator.model.job import Job
 
 M = TypeVar("M", bound=Model)
 
-# C loader where PyYAML has it: a job of 10,000 steps takes a tenth of the time.
+# The C loader, where PyYAML has it, reads a job of 10,000 steps in a tenth of the time.
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing that is wrong in a file. line counts from 1; field is the path of keys, e.g. `steps[2].to`."""
+class FileProblem:
+    """One mistake in a file. line: counts from 1. field: the path of keys, e.g. `steps[2].to`."""
 
     file: str
     line: int
@@ -34,63 +34,65 @@ class Problem:
 
 
 class FileError(ValueError):
-    """A file that can not be used. Its text lists every problem, one a line."""
+    """A file that cannot be used. The text lists all problems, one per line."""
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
+    def __init__(self, problems: Sequence[FileProblem]) -> None:
         super().__init__("\n".join(str(problem) for problem in problems))
         self.problems = tuple(problems)
 
 
 def load_fleet(path: Path) -> Fleet:
-    """The fleet file at `path`. Raises `FileError`."""
-    return _load(path, Fleet)
+    """Load the fleet file at `path`. Raises `FileError`."""
+    return _load_model(path, Fleet)
 
 
 def load_job(path: Path) -> Job:
-    """The job file at `path`. Raises `FileError`."""
-    return _load(path, Job)
+    """Load the job file at `path`. Raises `FileError`."""
+    return _load_model(path, Job)
 
 
-def _load(path: Path, model: type[M]) -> M:
+def _load_model(path: Path, model: type[M]) -> M:
     name = str(path)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise FileError([Problem(name, 1, "", f"can not be read: {error.strerror}")]) from None
+        raise FileError([FileProblem(name, 1, "", f"cannot be read: {error.strerror}")]) from None
     except UnicodeDecodeError as error:
-        raise FileError([Problem(name, 1, "", f"is not UTF-8 text (byte {error.start})")]) from None
-    return parse(text, model, name)
+        raise FileError([FileProblem(name, 1, "", f"is not UTF-8 text (byte {error.start})")]) from None
+    return parse_document(text, model, name)
 
 
-def parse(text: str, model: type[M], name: str) -> M:
-    """`text` as YAML for `model`; `name` stands for the file in errors. Raises `FileError`."""
+def parse_document(text: str, model: type[M], name: str) -> M:
+    """Parse `text` as YAML for `model`. name: stands for the file in errors. Raises `FileError`."""
     try:
         loader: Any = _Loader(text)
         root: Node | None = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
-        raise FileError([Problem(name, line, "", f"not YAML: {error.problem or error.context}")]) from None
+        raise FileError([FileProblem(name, line, "", f"not YAML: {error.problem or error.context}")]) from None
     except yaml.YAMLError as error:
-        raise FileError([Problem(name, 1, "", f"not YAML: {error}")]) from None
+        raise FileError([FileProblem(name, 1, "", f"not YAML: {error}")]) from None
     if not isinstance(root, MappingNode):
-        raise FileError([Problem(name, 1, "", f"must be a mapping with `schema:` first, e.g. {_example(model)}")])
-    twice = list(_duplicate_keys(root, name, ""))
+        raise FileError(
+            [FileProblem(name, 1, "", f"must be a mapping that starts with `schema:`, e.g. {_example_line(model)}")]
+        )
+    twice = list(_find_duplicate_keys(root, name, ""))
     if twice:
         raise FileError(twice)
     data: Any = loader.construct_document(root)
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise FileError([_problem(cast(Mapping[str, Any], each), root, name) for each in error.errors()]) from None
+        raise FileError([_make_problem(cast(Mapping[str, Any], each), root, name) for each in error.errors()]) from None
 
 
-def _example(model: type[Model]) -> str:
+def _example_line(model: type[Model]) -> str:
     return "`schema: tutti.fleet/1`" if model is Fleet else "`schema: tutti.job/1`"
 
 
-def _duplicate_keys(node: Node, name: str, path: str) -> "list[Problem]":
-    problems: list[Problem] = []
+def _find_duplicate_keys(node: Node, name: str, path: str) -> "list[FileProblem]":
+    problems: list[FileProblem] = []
     if isinstance(node, MappingNode):
         seen: dict[str, int] = {}
         for key, value in node.value:
@@ -98,27 +100,29 @@ def _duplicate_keys(node: Node, name: str, path: str) -> "list[Problem]":
             field = f"{path}.{text}" if path else text
             line = key.start_mark.line + 1
             if text in seen:
-                problems.append(Problem(name, line, field, f"is given twice; it stands already in line {seen[text]}"))
+                problems.append(
+                    FileProblem(name, line, field, f"is given twice; the first one is in line {seen[text]}")
+                )
             seen[text] = line
-            problems += _duplicate_keys(value, name, field)
+            problems += _find_duplicate_keys(value, name, field)
     elif isinstance(node, SequenceNode):
         for index, value in enumerate(node.value):
-            problems += _duplicate_keys(value, name, f"{path}[{index}]")
+            problems += _find_duplicate_keys(value, name, f"{path}[{index}]")
     return problems
 
 
-def _problem(error: Mapping[str, Any], root: Node, name: str) -> Problem:
-    node, field, tail = _locate(root, error["loc"])
+def _make_problem(error: Mapping[str, Any], root: Node, name: str) -> FileProblem:
+    node, field, tail = _locate_node(root, error["loc"])
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, UnknownName):
-        node = _scalar(node, cause.name) or node
+        node = _find_scalar(node, cause.name) or node
     if tail and error["type"] == "missing":
         field = f"{field}.{tail[-1]}" if field else str(tail[-1])
-    return Problem(name, node.start_mark.line + 1, field, _explain(error))
+    return FileProblem(name, node.start_mark.line + 1, field, _explain_error(error))
 
 
-def _scalar(node: Node, text: str) -> Node | None:
-    """The first scalar below `node` that reads `text`."""
+def _find_scalar(node: Node, text: str) -> Node | None:
+    """Find the first scalar below `node` with the value `text`."""
     if isinstance(node, ScalarNode):
         return node if node.value == text else None
     below: list[Node] = []
@@ -126,13 +130,14 @@ def _scalar(node: Node, text: str) -> Node | None:
         below = [part for pair in node.value for part in pair]
     elif isinstance(node, SequenceNode):
         below = node.value
-    return next((found for part in below if (found := _scalar(part, text))), None)
+    return next((found for part in below if (found := _find_scalar(part, text))), None)
 
 
-def _locate(root: Node, location: Sequence[str | int]) -> tuple[Node, str, list[str | int]]:
-    """The node that pydantic's `location` names, its path as text, and the parts that the file does not have.
+def _locate_node(root: Node, location: Sequence[str | int]) -> tuple[Node, str, list[str | int]]:
+    """Find the node that pydantic's `location` names; also its path as text, and the parts that are not in the file.
 
-    Tags of unions (`move`, `tcp`) and `[key]` marks stand in the location but not in the file; they are skipped.
+    pydantic adds union tags (`move`, `tcp`) and `[key]` marks to a location; the file does not have them, so they are
+    skipped.
     """
     node, field, absent = root, "", list[str | int]()
     for part in location:
@@ -147,14 +152,14 @@ def _locate(root: Node, location: Sequence[str | int]) -> tuple[Node, str, list[
         absent.clear()
         key, value = found
         field = f"{field}[{part}]" if isinstance(part, int) else f"{field}.{part}" if field else str(part)
-        # The line of the key, not of a block that starts below it, unless there is more to descend to.
+        # Report the line of the key, not of the block that starts below it, unless the location goes deeper.
         node = value
         if isinstance(key, ScalarNode) and not isinstance(value, ScalarNode):
             node.start_mark = key.start_mark
     return node, field, absent
 
 
-def _explain(error: Mapping[str, Any]) -> str:
+def _explain_error(error: Mapping[str, Any]) -> str:
     kind, context = error["type"], error.get("ctx", {})
     found = error.get("input")
     if kind == "missing":
@@ -168,9 +173,9 @@ def _explain(error: Mapping[str, Any]) -> str:
     if kind == "union_tag_invalid":
         return f"found {context['tag']!r} for {context['discriminator']}; allowed: {context['expected_tags']}"
     if kind == "union_tag_not_found":
-        return f"needs the field {context['discriminator']}, which says what it is"
+        return f"needs the field {context['discriminator']}, which selects its kind"
     if kind == "string_pattern_mismatch":
-        return f"found {found!r}; an id has only the characters a-z, 0-9, _ and -"
+        return f"found {found!r}; an id may contain only a-z, 0-9, _ and -"
     message = str(error["msg"])
     shown = repr(found)
     return f"found {shown if len(shown) < 60 else shown[:57] + '…'}; {message[0].lower()}{message[1:]}"

@@ -18,12 +18,14 @@ from orchestrator.model.units import Quantity, Unit, parse_quantity
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Limits(Model):
-    """What an axis may do at most, in its unit per second (², ³)."""
+class AxisLimits(Model):
+    """The maximum velocity, acceleration and jerk of an axis, in its unit per second (², ³)."""
 
     velocity: Positive
     acceleration: Positive
-    jerk: Positive | None = Field(default=None, description="Without it the axis is planned with trapezoids.")
+    jerk: Positive | None = Field(
+        default=None, description="Without it the axis is planned with trapezoidal velocity profiles."
+    )
 
 
 class SoftLimits(Model):
@@ -33,42 +35,52 @@ class SoftLimits(Model):
     max: Quantity
 
 
-class Homing(Model):
+class HomingSettings(Model):
     """How an axis finds its reference."""
 
-    method: str = Field(default="default", description="A method of the make; `default` is its usual one.")
+    method: str = Field(default="default", description="A homing method of the make; `default` is its usual one.")
     direction: Literal["negative", "positive"] = "negative"
     speed: Positive | None = Field(default=None, description="Approach speed, unit/s; default: a tenth of the limit.")
-    search_speed: Positive | None = Field(default=None, description="Speed of the fine search, where the make has it.")
+    search_speed: Positive | None = Field(
+        default=None, description="Speed of the fine search, where the make supports it."
+    )
     timeout_s: float = Field(default=60.0, gt=0, le=3600)
-    after: list[str] = Field(default=[], description="Axes `controller.axis` that must have found theirs before.")
-
-
-class Jogging(Model):
-    """How fast an axis may be jogged, in unit/s."""
-
-    speed: Positive | None = Field(default=None, description="At most; default: a quarter of the velocity limit.")
-    slow_speed: Positive | None = Field(
-        default=None, description="At most while unreferenced; default: a fiftieth of the velocity limit."
+    after: list[str] = Field(
+        default=[], description="Axes `controller.axis` that must be referenced before this one is homed."
     )
 
 
-class Brake(Model):
-    """A holding brake. Without `output` the controller or its amplifier switches it together with the motor."""
+class JogSettings(Model):
+    """The speeds at which an axis may be jogged, in unit/s."""
 
-    output: Id | None = Field(default=None, description="Named output of the same controller; active is released.")
-    release_s: float = Field(default=0.0, ge=0, le=10, description="After enabling: nothing moves before it is open.")
-    engage_s: float = Field(default=0.0, ge=0, le=10, description="Before disabling: until it holds.")
+    speed: Positive | None = Field(
+        default=None, description="Maximum jog speed; default: a quarter of the velocity limit."
+    )
+    slow_speed: Positive | None = Field(
+        default=None, description="Maximum jog speed while unreferenced; default: a fiftieth of the velocity limit."
+    )
+
+
+class HoldingBrake(Model):
+    """A holding brake. Without `output`, the controller or its amplifier switches the brake together with the motor."""
+
+    output: Id | None = Field(
+        default=None, description="Named output of the same controller; active releases the brake."
+    )
+    release_s: float = Field(
+        default=0.0, ge=0, le=10, description="After enabling: time until the brake is open; no motion before."
+    )
+    engage_s: float = Field(default=0.0, ge=0, le=10, description="Before disabling: time until the brake holds.")
 
 
 class StartRate(Model):
-    """For steppers: the speeds, in unit/s, between which the motor may start and stop without a ramp."""
+    """For steppers: the speed range, in unit/s, in which the motor may start and stop without a ramp."""
 
     min: float = Field(ge=0)
     max: Positive
 
     @model_validator(mode="after")
-    def _ordered(self) -> "StartRate":
+    def _check_order(self) -> "StartRate":
         if self.min > self.max:
             raise ValueError(f"start_rate.min ({self.min}) is above start_rate.max ({self.max}); swap them")
         return self
@@ -80,39 +92,44 @@ class Axis(Model):
     motors: list[str] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
     unit: Unit
     scale: Rational = Field(default=Fraction(1), description='Counts per unit, exact: 2000, "10000/3".')
-    sign: Literal[1, -1] = Field(default=1, description="-1 when the controller counts the other way.")
+    sign: Literal[1, -1] = Field(default=1, description="-1 if the controller counts in the opposite direction.")
     kind: Literal["linear", "rotary"] = "linear"
-    wrap: Quantity | None = Field(default=None, description="Rotary: the length of one turn, e.g. 360.")
-    shortest_way: bool = Field(default=False, description="Rotary: absolute targets are reached the shorter way.")
+    wrap: Quantity | None = Field(default=None, description="Rotary axes: the length of one turn, e.g. 360.")
+    shortest_way: bool = Field(
+        default=False, description="Rotary axes: approach absolute targets in the shorter direction."
+    )
     soft_limits: SoftLimits | None = None
-    limits: Limits
+    limits: AxisLimits
     start_rate: StartRate | None = None
     enable: Literal["manual", "per_job", "at_start"] = "manual"
     on_estop: Literal["hold", "disable"] = Field(
-        default="hold", description="hold: the motor stays on; disable: off as soon as the axis is at rest."
+        default="hold",
+        description="hold: the motor stays on; disable: the motor is switched off once the axis is at rest.",
     )
-    brake: Brake | None = None
-    jog: Jogging = Jogging()
-    homing: Homing = Homing()
+    brake: HoldingBrake | None = None
+    jog: JogSettings = JogSettings()
+    homing: HomingSettings = HomingSettings()
     done: Literal["profile", "in_position"] = "profile"
-    in_position_window: Positive | None = Field(default=None, description="Unit; needed with `done: in_position`.")
+    in_position_window: Positive | None = Field(
+        default=None, description="In the axis's unit; required with `done: in_position`."
+    )
     in_position_timeout_s: float = Field(default=2.0, gt=0, le=600)
-    following_error: Positive | None = Field(default=None, description="Unit; beyond it the axis faults.")
-    max_deviation: Positive | None = Field(default=None, description="Unit; between coupled motors.")
+    following_error: Positive | None = Field(
+        default=None, description="In the axis's unit; a larger following error is a fault."
+    )
+    max_deviation: Positive | None = Field(default=None, description="In the axis's unit; between coupled motors.")
 
     @field_validator("motors")
     @classmethod
-    def _one_motor(cls, motors: list[str]) -> list[str]:
+    def _check_one_motor(cls, motors: list[str]) -> list[str]:
         if len(motors) > 1:
-            raise ValueError(
-                f"{len(motors)} motors on one axis are not supported yet; give each motor an axis of its own"
-            )
+            raise ValueError(f"{len(motors)} motors on one axis are not supported yet; define one axis per motor")
         return motors
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Axis":
+    def _check_consistency(self) -> "Axis":
         if self.scale <= 0:
-            raise ValueError(f"scale is {self.scale}; it must be above 0 (use `sign: -1` to turn the direction)")
+            raise ValueError(f"scale is {self.scale}; it must be above 0 (use `sign: -1` to reverse the direction)")
         if self.kind == "linear" and (self.wrap is not None or self.shortest_way):
             raise ValueError("wrap and shortest_way need `kind: rotary`")
         if self.shortest_way and self.wrap is None:
@@ -130,7 +147,7 @@ class Axis(Model):
         if self.done == "in_position" and self.in_position_window is None:
             raise ValueError("`done: in_position` needs in_position_window")
         if self.max_deviation is not None and len(self.motors) < 2:
-            raise ValueError("max_deviation is between the motors of one axis, and this one has a single motor")
+            raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
         if self.soft_limits is not None:
             low = parse_quantity(self.soft_limits.min, self.unit)
             high = parse_quantity(self.soft_limits.max, self.unit)
@@ -144,29 +161,31 @@ class Axis(Model):
         return self.scale * self.sign
 
     def jog_speed(self, referenced: bool) -> float:
-        """The largest speed of a jog, unit/s: an axis that does not know where it is may only creep."""
+        """The maximum jog speed, unit/s; lower while the axis is unreferenced."""
         fast = self.jog.speed or self.limits.velocity / 4
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:
-        """The count nearest to `position` (in the axis's unit)."""
+        """Convert a position (in the axis's unit) to the nearest count."""
         return round(position * self.counts_per_unit)
 
     def to_unit(self, counts: float) -> float:
-        """`counts` in the axis's unit."""
+        """Convert counts to the axis's unit."""
         return counts / self._float_scale
 
     @cached_property
-    def turn(self) -> Fraction | None:
+    def turn_length(self) -> Fraction | None:
         """The length of one turn in the axis's unit; None for an axis that does not wrap."""
         return None if self.wrap is None else parse_quantity(self.wrap, self.unit)
 
-    def wrapped(self, position: float) -> float:
-        """A user position as it is shown: within one turn, from 0, where the axis wraps."""
-        if self.turn is None:
+    def wrap_position(self, position: float) -> float:
+        """Wrap a user position for display into one turn, from 0; unchanged for an axis that does not wrap."""
+        if self.turn_length is None:
             return position
-        within = position % float(self.turn)
-        return within if within < float(self.turn) else 0.0  # a hair below 0 is rounded up to a whole turn
+        within = position % float(self.turn_length)
+        return (
+            within if within < float(self.turn_length) else 0.0
+        )  # a value slightly below 0 is rounded up to a whole turn
 
     @cached_property
     def _float_scale(self) -> float:
@@ -185,144 +204,150 @@ class Axis(Model):
         return -((-low.numerator) // low.denominator), high.numerator // high.denominator
 
 
-class Input(Model):
-    """A digital input with a name."""
+class DigitalInput(Model):
+    """A named digital input."""
 
     number: int = Field(ge=1)
     active: Literal["high", "low"] = "high"
 
 
-class Output(Model):
-    """A digital output with a name."""
+class DigitalOutput(Model):
+    """A named digital output."""
 
     number: int = Field(ge=1)
     active: Literal["high", "low"] = "high"
-    safe: bool | None = Field(default=None, description="State to take on an e-stop, true: active; none: leave it.")
+    safe: bool | None = Field(
+        default=None, description="State to set on an e-stop, true: active; none: leave unchanged."
+    )
 
 
 class StateRates(Model):
-    """How often a controller's state is read and put on the bus, in Hz."""
+    """How often a controller's state is read and published, in Hz."""
 
-    moving_hz: float = Field(default=10.0, ge=3, le=200, description="Who says nothing for 0.7 s in motion is stopped.")
+    moving_hz: float = Field(
+        default=10.0, ge=3, le=200, description="A controller that is silent for 0.7 s in motion is stopped."
+    )
     idle_hz: float = Field(default=5.0, gt=0, le=200)
 
 
-class Simulation(Model):
-    """How a controller is simulated, for `--sim` and tests: the unit's options, its firmware's and crystal's times."""
+class SimulationSettings(Model):
+    """How a controller is simulated, for `--sim` and tests: the simulator's options and the timing of its firmware and
+    crystal."""
 
     options: dict[str, Any] = Field(default={}, description="The simulator's own options.")
-    decode_us: int = Field(default=500, ge=0, description="Time of the firmware for a command.")
-    spread_us: int = Field(default=0, ge=0, description="Up to so much more, at random.")
+    decode_us: int = Field(default=500, ge=0, description="Time that the firmware takes for a command.")
+    spread_us: int = Field(default=0, ge=0, description="Random extra time, up to this.")
     offset_s: float = Field(default=0.0, ge=0, description="The controller's clock at the start.")
     drift_ppm: float = Field(default=0.0, ge=-1000, le=1000)
     wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
-    hold_ms: float = Field(default=0.0, ge=0, le=100, description="Receive delay of a USB serial adapter, at most.")
-    link: Link | None = Field(default=None, description="Where the simulator listens; filled in by `--sim`.")
+    hold_ms: float = Field(default=0.0, ge=0, le=100, description="Maximum receive delay of a USB serial adapter.")
+    link: Link | None = Field(default=None, description="Where the simulator listens; set by `--sim`.")
 
 
 class Controller(Model):
     """One physical motion controller."""
 
-    adapter: str = Field(description="The make's adapter, e.g. smc4000, shrc203.")
+    adapter: str = Field(description="The adapter of its make, e.g. smc4000, shrc203.")
     link: Link
     host: Id = Field(default="local", description="The adapter host that drives it.")
-    options: dict[str, Any] = Field(default={}, description="The adapter's own options.")
-    simulate: Simulation = Simulation()
+    options: dict[str, Any] = Field(default={}, description="Options of the adapter.")
+    simulate: SimulationSettings = SimulationSettings()
     axes: dict[Id, Axis] = Field(min_length=1)
-    inputs: dict[Id, Input] = Field(default={})
-    outputs: dict[Id, Output] = Field(default={})
+    inputs: dict[Id, DigitalInput] = Field(default={})
+    outputs: dict[Id, DigitalOutput] = Field(default={})
     state: StateRates = StateRates()
 
     @model_validator(mode="after")
-    def _motors_once(self) -> "Controller":
+    def _check_motors_unique(self) -> "Controller":
         seen: dict[str, str] = {}
         for name, axis in self.axes.items():
             for motor in axis.motors:
                 if motor in seen:
-                    raise ValueError(f"motor {motor} belongs to axis {seen[motor]} and axis {name}; give it to one")
+                    raise ValueError(
+                        f"motor {motor} belongs to axis {seen[motor]} and to axis {name}; assign it to one axis"
+                    )
                 seen[motor] = name
         for kind, points in (("input", self.inputs), ("output", self.outputs)):
             numbers: dict[int, str] = {}
             for name, point in points.items():
                 if point.number in numbers:
-                    raise ValueError(f"{kind} {point.number} is named twice: {numbers[point.number]} and {name}")
+                    raise ValueError(f"{kind} {point.number} has two names: {numbers[point.number]} and {name}")
                 numbers[point.number] = name
         return self
 
     @model_validator(mode="after")
-    def _brakes(self) -> "Controller":
+    def _check_brakes(self) -> "Controller":
         for name, axis in self.axes.items():
             output = axis.brake.output if axis.brake else None
             if output is not None and output not in self.outputs:
                 known = ", ".join(self.outputs) or "none"
-                raise ValueError(f"axes.{name}.brake.output: the controller has no output {output}; it has: {known}")
+                raise ValueError(
+                    f"axes.{name}.brake.output: the controller has no output {output}; known outputs: {known}"
+                )
         return self
 
     @property
-    def shares(self) -> bool:
-        """Whether its port may carry other controllers, too."""
-        return _unit(self) is not None
+    def shares_port(self) -> bool:
+        """Whether other controllers may be on the same port."""
+        return _address_of(self) is not None
 
     @property
-    def reached_by(self) -> TcpLink | UdpLink | SerialLink | CanBusLink:
-        """The link to open: that of the controller, or of the simulator that stands in for it."""
+    def link_to_open(self) -> TcpLink | UdpLink | SerialLink | CanBusLink:
+        """The link to open: that of the controller, or of the simulator that replaces it."""
         return self.simulate.link or self.link
 
     @cached_property
     def digest(self) -> str:
-        """Names this configuration: equal digests mean equal configuration on both sides of the bus."""
+        """A digest of this configuration: equal digests mean equal configuration on both sides of the bus."""
         plain = {name: value for name, value in self.to_plain().items() if name != "simulate"}
         text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class Wire(Model):
-    """An output of one controller that is wired to inputs of others: when it is active, they are.
-
-    Moves can be started by it.
-    """
+class TriggerWire(Model):
+    """An output of one controller that is wired to inputs of others, so that it can start their moves."""
 
     from_: str = Field(alias="from", description="controller.output")
     to: list[str] = Field(min_length=1, description="controller.input, one or more")
     delay_us: tuple[int, int] = Field(
-        default=(0, 50), description="From the output to an input's terminal, at least and at the most, µs."
+        default=(0, 50), description="Minimum and maximum delay from the output to an input's terminal, µs."
     )
 
     @model_validator(mode="after")
-    def _possible(self) -> "Wire":
+    def _check_possible(self) -> "TriggerWire":
         least_us, most_us = self.delay_us
         if not 0 <= least_us <= most_us <= 100_000:
             raise ValueError(f"delay_us is [{least_us}, {most_us}]; it must be [least, most], from 0 to 100000")
         twice = sorted({end for end in self.to if self.to.count(end) > 1})
         if twice:
-            raise ValueError(f"{twice[0]} stands twice in `to`; name each input once")
+            raise ValueError(f"{twice[0]} is listed twice in `to`; list each input once")
         return self
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
-    """One wire from an output to an input, both by controller, name and point."""
+class WireConnection:
+    """One wire from an output to an input, each by controller, name and definition."""
 
     source: str
     output: str
-    driven_by: Output
+    driven_by: DigitalOutput
     target: str
     input: str
-    feeds: Input
+    feeds: DigitalInput
     delay_us: tuple[int, int]
 
-    def level(self, on: bool) -> bool:
-        """The input's electrical level while the output is `on`: wired so that both are active at once."""
+    def input_level(self, on: bool) -> bool:
+        """The input's electrical level while the output is `on`; the wiring makes both active at the same time."""
         return (on == (self.driven_by.active == "high")) == (self.feeds.active == "high")
 
 
 class Permit(Model):
-    """A condition that must hold for axes to be armed, and whose loss stops the step that they are in."""
+    """A condition that must hold before axes are armed; its loss stops the step that moves them."""
 
     input: str = Field(description="controller.input")
     value: bool = Field(default=True, description="true: the input must be active")
     axes: list[str] | None = Field(default=None, description="Axes, groups or controllers; none: the whole fleet.")
-    settle: Duration = Field(default=0, ge=0, description="It must have held for so long before anything moves.")
+    settle: Duration = Field(default=0, ge=0, description="How long it must have held before anything moves.")
 
 
 class Fleet(Model):
@@ -331,65 +356,67 @@ class Fleet(Model):
     schema_: Literal["tutti.fleet/1"] = Field(alias="schema")
     fleet: Id
     controllers: dict[Id, Controller] = Field(min_length=1)
-    wiring: list[Wire] = Field(default=[])
-    permits: dict[Id, Permit] = Field(default={}, description='Conditions with a name, such as "door-closed".')
+    wiring: list[TriggerWire] = Field(default=[])
+    permits: dict[Id, Permit] = Field(default={}, description='Named conditions, such as "door-closed".')
     groups: dict[Id, list[str]] = Field(default={}, description="Named groups of axes, `controller.axis`.")
     home_order: list[str] = Field(default=[], description="Groups, controllers or axes, homed one after another.")
 
     @field_validator("controllers")
     @classmethod
-    def _links_are_shared_by_address(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
+    def _check_shared_links(cls, controllers: dict[str, Controller]) -> dict[str, Controller]:
         lines: dict[str, list[str]] = {}
         for name, controller in controllers.items():
-            lines.setdefault(controller.link.place, []).append(name)
+            lines.setdefault(controller.link.endpoint, []).append(name)
         for place, names in lines.items():
             for name in names[1:]:
                 _require_shareable(place, names[0], controllers[names[0]], name, controllers[name])
-            units = [_unit(controllers[name]) for name in names]
+            units = [_address_of(controllers[name]) for name in names]
             for number, unit in enumerate(units):
                 if unit in units[:number]:
                     first = names[units.index(unit)]
-                    raise ValueError(f"{first} and {names[number]} are both unit {unit} of {place}; give each its own")
+                    raise ValueError(
+                        f"{first} and {names[number]} both have address {unit} on {place}; give each its own address"
+                    )
         return controllers
 
     @model_validator(mode="after")
-    def _references(self) -> "Fleet":
+    def _check_references(self) -> "Fleet":
         for group, members in self.groups.items():
             if group in self.controllers:
                 raise ValueError(f"group {group} has the name of a controller; rename one of them")
             for member in members:
                 self.axis(member)
         for entry in self.home_order:
-            self.expand(entry)
-        self._homing_dependencies()
+            self.expand_name(entry)
+        self._check_homing_dependencies()
         for permit in self.permits.values():
-            self._point(permit.input, "inputs")
+            self._require_point(permit.input, "inputs")
             for name in permit.axes or []:
-                self.expand(name)
+                self.expand_name(name)
         fed: dict[str, str] = {}
         for wire in self.wiring:
-            self._point(wire.from_, "outputs")
+            self._require_point(wire.from_, "outputs")
             for end in wire.to:
-                self._point(end, "inputs")
+                self._require_point(end, "inputs")
                 if end in fed:
                     raise ValueError(f"input {end} is wired to {fed[end]} and to {wire.from_}; wire it to one output")
                 fed[end] = wire.from_
         return self
 
     @property
-    def connections(self) -> list[Connection]:
-        """Every wire of the fleet, from its output to each of its inputs."""
-        found: list[Connection] = []
+    def connections(self) -> list[WireConnection]:
+        """All wires of the fleet, one entry per output and input."""
+        found: list[WireConnection] = []
         for wire in self.wiring:
             source, _, output = wire.from_.partition(".")
             for end in wire.to:
                 target, _, name = end.partition(".")
                 driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
-                found.append(Connection(source, output, driven_by, target, name, feeds, wire.delay_us))
+                found.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
         return found
 
-    def _homing_dependencies(self) -> None:
-        """Every `after` names an axis, and no axis waits for itself by way of others."""
+    def _check_homing_dependencies(self) -> None:
+        """Check that each `after` names an axis and that no axis waits for itself, directly or through others."""
         after = {name: self.axis(name).homing.after for name in self.axis_names}
         for name, others in after.items():
             for other in others:
@@ -401,13 +428,13 @@ class Fleet(Model):
                     waits_for.add(other)
                     todo += after[other]
             if name in waits_for:
-                raise ValueError(f"axis {name} is homed after itself (homing.after); take one of the entries away")
+                raise ValueError(f"axis {name} waits for itself (homing.after); remove one of the entries")
 
-    def _point(self, name: str, side: Literal["inputs", "outputs"]) -> None:
+    def _require_point(self, name: str, side: Literal["inputs", "outputs"]) -> None:
         controller, _, point = name.partition(".")
         if controller not in self.controllers or point not in getattr(self.controllers[controller], side):
             known = [f"{c}.{p}" for c, each in self.controllers.items() for p in getattr(each, side)]
-            raise UnknownName(name, f"{name} is none of the fleet's {side}; known: {', '.join(known) or 'none'}")
+            raise UnknownName(name, f"the fleet has no {side[:-1]} {name}; known {side}: {', '.join(known) or 'none'}")
 
     def permits_of(self, axes: Iterable[str]) -> dict[str, Permit]:
         """The permits that bind any of `axes`, by name."""
@@ -415,11 +442,11 @@ class Fleet(Model):
         return {
             name: permit
             for name, permit in self.permits.items()
-            if permit.axes is None or wanted & {axis for each in permit.axes for axis in self.expand(each)}
+            if permit.axes is None or wanted & {axis for each in permit.axes for axis in self.expand_name(each)}
         }
 
     def axis(self, name: str) -> Axis:
-        """The axis `controller.axis`. `UnknownName` lists the known ones."""
+        """The axis `controller.axis`. Raises `UnknownName`, which lists the known axes."""
         controller, _, axis = name.partition(".")
         if controller not in self.controllers or axis not in self.controllers[controller].axes:
             raise UnknownName(name, f"the fleet has no axis {name}; its axes are: {', '.join(self.axis_names)}")
@@ -430,8 +457,8 @@ class Fleet(Model):
         """All axes, as `controller.axis`, in the order of the file."""
         return [f"{c}.{a}" for c, controller in self.controllers.items() for a in controller.axes]
 
-    def expand(self, name: str) -> list[str]:
-        """The axes that `name` stands for: a group, a controller, or one axis. `UnknownName` if none."""
+    def expand_name(self, name: str) -> list[str]:
+        """The axes that `name` stands for: a group, a controller, or one axis. Raises `UnknownName`."""
         if name in self.groups:
             return list(self.groups[name])
         if name in self.controllers:
@@ -440,39 +467,39 @@ class Fleet(Model):
         return [name]
 
 
-def _unit(controller: Controller) -> int | None:
+def _address_of(controller: Controller) -> int | None:
     """Its address on its port or bus."""
-    return controller.link.unit if isinstance(controller.link, SerialLink | CanBusLink) else None
+    return controller.link.address if isinstance(controller.link, SerialLink | CanBusLink) else None
 
 
 def _require_shareable(place: str, first: str, one: Controller, second: str, other: Controller) -> None:
-    """Raises `ValueError` unless the two can be reached by one port."""
+    """Raises `ValueError` unless both controllers can be reached through one port."""
     both = f"{first} and {second} are both on {place}"
     for name, controller in ((first, one), (second, other)):
-        if _unit(controller) is None:
+        if _address_of(controller) is None:
             raise ValueError(
                 f"{both}; a port can carry several controllers only if each has an address there, and {name} has none "
-                "(link.unit)"
+                "(link.address)"
             )
     for field in ("adapter", "host"):
         found = getattr(one, field), getattr(other, field)
         if found[0] != found[1]:
             raise ValueError(f"{both}, but have different `{field}`: {found[0]} and {found[1]}")
-    alike = one.link.model_copy(update={"unit": None}), other.link.model_copy(update={"unit": None})
+    alike = one.link.model_copy(update={"address": None}), other.link.model_copy(update={"address": None})
     if alike[0] != alike[1]:
-        raise ValueError(f"{both}, but have different settings: {alike[0].to_plain()} and {alike[1].to_plain()}")
+        raise ValueError(f"{both}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}")
 
 
-def by_line(fleet: Fleet) -> list[list[str]]:
-    """The names of controllers that are on one line, for each line."""
+def group_by_link(fleet: Fleet) -> list[list[str]]:
+    """The names of the controllers on each serial line or bus."""
     lines: dict[str, list[str]] = {}
     for name, controller in fleet.controllers.items():
-        lines.setdefault(controller.link.place, []).append(name)
+        lines.setdefault(controller.link.endpoint, []).append(name)
     return list(lines.values())
 
 
-def by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
-    """Axes `controller.axis` by their controller, in order."""
+def group_by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
+    """Group axes `controller.axis` by their controller, in order."""
     found: dict[str, list[str]] = {}
     for axis in axes:
         controller, _, name = axis.partition(".")

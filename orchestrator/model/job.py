@@ -15,34 +15,38 @@ Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.ax
 
 
 class StepBase(Model):
-    """What every step may have."""
+    """Fields that every step may have."""
 
     name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
 
 
 class Move(StepBase):
-    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one."""
+    """Move axes together: they start at one instant and, with `sync: time` or `phase`, end at one instant."""
 
     do: Literal["move"]
     to: dict[str, Quantity] = Field(default={}, description="Absolute targets by axis.")
     by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
     speed: float = Field(default=1.0, gt=0, le=1, description="Fraction of each axis's velocity limit.")
     sync: Literal["time", "phase", "none"] = Field(
-        default="time", description="time: end together; phase: a straight line in axis space; none: each its fastest."
+        default="time",
+        description="time: all end together; phase: a straight line in axis space; none: each axis takes its "
+        "shortest time.",
     )
     ramps: Literal["common", "own"] = Field(
-        default="common", description="Trapezoids under `sync: time`: one ramp time for all, or each its steepest."
+        default="common",
+        description="Trapezoidal profiles under `sync: time`: one ramp time for all axes, or each axis at its "
+        "maximum acceleration.",
     )
-    start: StartWish = Field(default="auto", description="Start class to use, if not the best.")
+    start: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
     align: Duration = Field(
         default=0,
         ge=0,
         le=600 * 1_000_000_000,
-        description="How long the start may wait for the moment at which the controllers' ticks fall closest together.",
+        description="How long the start may be delayed to the moment at which the controllers' ticks coincide best.",
     )
-    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's.")
-    max_end_skew: Duration | None = Field(default=None, description="Overrides the job's.")
-    max_path_skew: Duration | None = Field(default=None, description="Overrides the job's.")
+    max_start_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+    max_end_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
+    max_path_skew: Duration | None = Field(default=None, description="Overrides the job's value.")
 
     @model_validator(mode="after")
     def _targets(self) -> "Move":
@@ -50,7 +54,7 @@ class Move(StepBase):
             raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
         twice = sorted(self.to.keys() & self.by.keys())
         if twice:
-            raise ValueError(f"{', '.join(twice)} stands in both `to` and `by`; an axis has one target")
+            raise ValueError(f"{', '.join(twice)} is in both `to` and `by`; an axis has one target")
         return self
 
 
@@ -76,7 +80,7 @@ class Disable(StepBase):
 
 
 class SetPosition(StepBase):
-    """Call the places where axes stand by other user positions; null takes an axis's offset away. Nothing moves."""
+    """Set the current position of axes to the given user positions; null removes an axis's offset. Nothing moves."""
 
     do: Literal["set-position"]
     axes: dict[str, Quantity | None] = Field(min_length=1, description="User positions by axis.")
@@ -112,18 +116,21 @@ Step = Annotated[
 
 
 class Job(Model):
-    """What a user asks the fleet to do."""
+    """A sequence of steps that a user submits to the fleet."""
 
     schema_: Literal["tutti.job/1"] = Field(alias="schema")
     name: str = Field(min_length=1, max_length=120)
-    actor: str = Field(default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="Who asks.")
-    max_start_skew: Duration = Field(default=10_000_000, description="Largest spread of the axes' starts.")
+    actor: str = Field(
+        default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="The user or program that submits the job."
+    )
+    max_start_skew: Duration = Field(default=10_000_000, description="Maximum spread of the axes' starts.")
     max_end_skew: Duration | None = Field(
         default=None,
-        description="Largest spread of the axes' ends. Without it, durations must fit within 20 ms, as the clocks go.",
+        description="Maximum spread of the axes' ends. Without it, durations must match within 20 ms, apart from "
+        "clock error.",
     )
     max_path_skew: Duration | None = Field(
-        default=None, description="How far the axes may be apart in time on their way, at the most."
+        default=None, description="Maximum time offset between axes along their path."
     )
     steps: list[Step] = Field(min_length=1, max_length=10_000)
 

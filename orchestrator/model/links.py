@@ -1,4 +1,4 @@
-"""The ways to a controller, as they stand in the fleet file."""
+"""Links to controllers, as defined in the fleet file."""
 
 from typing import Annotated, Literal
 
@@ -15,8 +15,8 @@ class TcpLink(Model):
     port: int = Field(ge=1, le=65535)
 
     @property
-    def place(self) -> str:
-        """What two controllers can not share."""
+    def endpoint(self) -> str:
+        """The endpoint; two controllers cannot share it."""
         return f"tcp {self.host}:{self.port}"
 
 
@@ -28,42 +28,42 @@ class UdpLink(Model):
     port: int = Field(ge=1, le=65535)
 
     @property
-    def place(self) -> str:
-        """What two controllers can not share."""
+    def endpoint(self) -> str:
+        """The endpoint; two controllers cannot share it."""
         return f"udp {self.host}:{self.port}"
 
 
 class SerialLink(Model):
-    """A controller behind a serial port."""
+    """A controller on a serial port."""
 
     kind: Literal["serial"]
-    device: str = Field(description="The port, best by a stable name, e.g. /dev/serial/by-id/….")
+    device: str = Field(description="The port, preferably by a stable name, e.g. /dev/serial/by-id/….")
     baud: int = Field(default=38400, gt=0)
     data_bits: Literal[7, 8] = 8
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
-    rtscts: bool = Field(default=False, description="Hardware handshake by RTS and CTS.")
-    unit: int | None = Field(
+    rtscts: bool = Field(default=False, description="Hardware handshake with RTS and CTS.")
+    address: int | None = Field(
         default=None, ge=0, le=255, description="Address of the controller, where several share the port."
     )
 
     @property
-    def place(self) -> str:
-        """What two controllers can not share, unless their make can and they have addresses."""
+    def endpoint(self) -> str:
+        """The port; controllers can share it only if their make supports it and each has an address."""
         return f"serial {self.device}"
 
 
 class CanBusLink(Model):
-    """A controller that is a node of a CAN bus; several can be on one."""
+    """A controller that is a node of a CAN bus; several can be on one bus."""
 
     kind: Literal["can"]
-    interface: str = Field(description="slcan, socketcan, or any other interface that python-can knows.")
+    interface: str = Field(description="slcan, socketcan, or any other interface that python-can supports.")
     channel: str = Field(description="The interface's name for the bus: can0, /dev/serial/by-id/…, …")
     bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="Of all nodes of the bus, bit/s.")
-    unit: int = Field(ge=1, le=127, description="Number of the node.")
+    address: int = Field(ge=1, le=127, description="Node number.")
 
     @property
-    def place(self) -> str:
+    def endpoint(self) -> str:
         """The bus."""
         return f"can {self.channel}"
 

@@ -1,68 +1,98 @@
-"""Requests and replies on the bus. A refusal is a value: a reply says either what was done or why not."""
+"""Requests and replies on the bus. A refusal is a value: a reply reports either what was done or why it was not."""
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Id, Int53, Model
+from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import ClockMapping, ControllerState, Costs, StartClass, StartWish
+from orchestrator.model.state import ClockMapping, ControllerState, StartClass, StartWish, StepCosts
 from orchestrator.model.units import Quantity
 
 
-class Refusal(Model):
-    """Why something was not done, and what to do about it. `code` is for programs and does not change."""
+class RefusalDetails(Model):
+    """A refusal on the bus and in reports: why something was not done, and what to do about it.
+
+    code: for programs; it does not change. member: the controller that refuses, if it was one.
+    """
 
     code: str
     text: str
     remedy: str = ""
     member: str | None = None
 
+    @classmethod
+    def of(cls, error: Refusal) -> Self:
+        """The details of `error`."""
+        return cls(code=error.code, text=error.text, remedy=error.remedy, member=error.controller)
+
+    def as_error(self) -> Refusal:
+        """The error to raise for it."""
+        return Refusal(self.code, self.text, self.remedy, self.member)
+
+    def as_step_error(self) -> Refusal:
+        """The error to raise for a step that this controller refuses; its text names the controller."""
+        return Refusal(self.code, f"{self.member}: {self.text}", self.remedy, self.member)
+
 
 class Request(Model):
-    """What every request carries."""
+    """Fields that every request has."""
 
     request_id: str
     actor: str
 
 
 class Reply(Model):
-    """What every reply carries."""
+    """Fields that every reply has."""
 
-    refused: Refusal | None = None
+    refused: RefusalDetails | None = None
 
 
-class Together(Model):
-    """The same verb to several controllers of one adapter host.
+def raise_first_refusal(replies: Mapping[str, Reply]) -> None:
+    """Raise the first refusal among the replies of a step's controllers; its text names the controller.
 
-    requests: by controller, the JSON text of its own request. within_ns: who has not answered by then is left out of
-    the reply, and goes on.
+    Raises `Refusal`.
+    """
+    for reply in replies.values():
+        if reply.refused is not None:
+            raise reply.refused.as_step_error()
+
+
+class BatchRequest(Model):
+    """The same verb for several controllers of one adapter host, in one request.
+
+    requests: by controller, the JSON text of its own request. within_ns: a controller that has not answered by then is
+    left out of the reply; its request continues.
     """
 
     requests: dict[Id, str] = Field(min_length=1)
-    within_ns: Int53 = Field(gt=0)
+    answer_within_ns: Int53 = Field(gt=0)
 
 
-class TogetherReply(Model):
-    """By controller: the JSON text of its own reply, or why its request could not be understood; neither of who is not
-    there or has not answered in time. took_ns: from the common request to each answer."""
+class BatchReply(Model):
+    """By controller: the JSON text of its own reply, or why its request is not valid. A controller that is absent or
+    has not answered in time is in neither.
+
+    took_ns: from the batch request to each answer."""
 
     replies: dict[Id, str] = Field(default={})
     errors: dict[Id, str] = Field(default={})
     took_ns: dict[Id, Int53] = Field(default={})
 
 
-class Fenced(Request):
-    """A request that only the reigning coordinator may make: epoch and uuid of its reign."""
+class FencedRequest(Request):
+    """A request that only the current leader may make: epoch and uuid of its leadership."""
 
     epoch: Int53
     coordinator: str
 
 
-class Reign(Model):
-    """The coordinator's heartbeat, and its fleet time: fleet_ns = host_ns - origin_host_ns on its own kernel."""
+class LeaderHeartbeat(Model):
+    """The leader's heartbeat, with its fleet time: fleet_ns = host_ns - origin_host_ns on the leader's kernel."""
 
-    schema_: Literal["tutti.reign/1"] = Field(default="tutti.reign/1", alias="schema")
+    schema_: Literal["tutti.leader/1"] = Field(default="tutti.leader/1", alias="schema")
     fleet: str
     epoch: Int53
     coordinator: str
@@ -74,32 +104,32 @@ class Reign(Model):
 
 
 class TimeReply(Model):
-    """The coordinator's fleet time when it answered."""
+    """The leader's fleet time when it answered."""
 
     scale_id: str
     fleet_ns: Int53
 
 
-class Adopt(Fenced):
-    """Take a controller into a reign: it obeys this epoch from now on, and no older one."""
+class AdoptRequest(FencedRequest):
+    """Adopt a controller: it accepts this epoch from now on, and no older one."""
 
-    reign: Reign
+    leader: LeaderHeartbeat
 
 
-class Adopted(Reply):
+class AdoptedReply(Reply):
     epoch: Int53 = 0
     mode: str = "idle"
 
 
-class StepRef(Fenced):
+class StepRequest(FencedRequest):
     """A request about one motion step."""
 
     job: str
     step: int
 
 
-class LineWait(Model):
-    """Start when a wired line becomes active.
+class TriggerWait(Model):
+    """Start when a trigger line becomes active.
 
     input: the member's own, by name. The edge is at its terminal between T0 + earliest_ns and T0 + latest_ns.
     """
@@ -109,151 +139,158 @@ class LineWait(Model):
     latest_ns: Int53
 
 
-class LineDrive(Model):
-    """Make a wired line active at T0, and passive again once it has been so for `hold_ns`. output: own, by name."""
+class TriggerDrive(Model):
+    """Make a trigger line active at T0, and passive again after `active_ns`. output: the member's own, by name."""
 
     output: Id
-    hold_ns: Int53 = 100_000_000
+    active_ns: Int53 = 100_000_000
 
 
-class StartWay(Model):
+class StartOptions(Model):
     """How a member is to start.
 
-    by: a start class, or whichever is best; with `wait` it is `line`. lead_ns: how far T0 is ahead of the last reading
-    of the controller's clock, at the most: what is promised of clocks is promised for so long. drive: a member may
-    drive a line and move axes as well, or only drive it (no profiles). exact: T0 is just so far ahead. brake_s: how
-    long a stop from the peak velocity should take, so that all axes of the step stay on their common path and come to
-    rest together; 0: as short as the limits allow. end_ns: how long after T0 a member that ends at ticks of its own
-    should end: at most some ticks after the plan, where all members' ticks fall close together; 0: with the plan.
-    early_ns: how much before the plan an axis may end that can not go so slowly.
+    by: a start class, or `auto` for the best one; with `wait` it is `line`.
+    lead_ns: maximum time from the last reading of the controller's clock to T0; clock bounds are promised for this
+    long.
+    drive: the member drives a trigger line; it may also move axes, or only drive the line (no profiles).
+    exact: T0 is exactly `lead_ns` ahead.
+    brake_s: how long a stop from the peak velocity should take, so that all axes of the step stay on their common path
+    and come to rest together; 0: as short as the limits allow.
+    end_ns: how long after T0 a member that ends at its own ticks should end: at most a few ticks after the plan, where
+    the ticks of all members coincide best; 0: with the plan.
+    early_ns: how much before the plan an axis may end if it cannot move as slowly as planned.
     """
 
-    by: StartWish = "auto"
+    start_class: StartWish = "auto"
     lead_ns: Int53 = 0
     exact: bool = False
     brake_s: float = 0.0
     end_ns: Int53 = 0
     early_ns: Int53 = 0
-    wait: LineWait | None = None
-    drive: LineDrive | None = None
+    wait: TriggerWait | None = None
+    drive: TriggerDrive | None = None
 
 
-class Propose(StepRef):
-    """Can you make these profiles? `digest` is the configuration that the coordinator believes in."""
+class ProposeRequest(StepRequest):
+    """Ask whether a member can execute these profiles. digest: the configuration that the coordinator assumes."""
 
     digest: str
     duration_s: float
     profiles: dict[str, Profile]
-    start: StartWay = StartWay()
+    start: StartOptions = StartOptions()
 
 
-class Term(Model):
-    """One term of a budget: the start lies between T0 + earliest_ns and T0 + latest_ns because of it."""
+class BudgetTerm(Model):
+    """One term of a budget: because of it, the start lies between T0 + earliest_ns and T0 + latest_ns."""
 
-    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "slip", "line", "input"]
+    name: Literal["clock", "wire", "firmware", "tick", "host", "quantisation", "tick-residual", "line", "input"]
     earliest_ns: Int53
     latest_ns: Int53
 
 
 class Proposal(Reply):
-    """What a member can really make of the profiles."""
+    """What a member can execute of the proposed profiles."""
 
     durations_s: dict[str, float] = Field(default={}, description="By axis, as the controller will execute it.")
-    path_error_counts: dict[str, float] = Field(default={}, description="Largest distance to the plan, by axis.")
-    costs: Costs | None = None
+    path_error_counts: dict[str, float] = Field(default={}, description="Maximum distance from the plan, by axis.")
+    costs: StepCosts | None = None
     start_class: StartClass = "host"
     tick_ns: float = 0.0
-    tick_at_fleet_ns: Int53 | None = Field(default=None, description="One of the ticks that it could start at.")
-    terms: list[Term] = Field(default=[])
-    edge: list[Term] = Field(default=[], description="Where the edge of the line that it drives lies about T0.")
-    clock_ppm: float = Field(default=100.0, description="How far off the unit's durations may be, guaranteed.")
-    sooner: bool = Field(default=False, description="Whether it can be told to begin sooner than it was armed for.")
-    commands: list[str] = Field(default=[], description="What the controller would be sent, for people.")
+    tick_at_fleet_ns: Int53 | None = Field(default=None, description="One of the ticks at which it could start.")
+    terms: list[BudgetTerm] = Field(default=[])
+    edge: list[BudgetTerm] = Field(
+        default=[], description="Window of the edge of the trigger line that it drives, relative to T0."
+    )
+    clock_ppm: float = Field(default=100.0, description="Guaranteed bound of the controller's rate error.")
+    can_advance: bool = Field(default=False, description="Whether T0 can be brought forward after it was armed.")
+    commands: list[str] = Field(default=[], description="The commands that the controller would receive, for people.")
 
 
-class Arm(StepRef):
+class ArmRequest(StepRequest):
     """Load the move for a start at T0; do not move."""
 
     digest: str
     t0_fleet_ns: Int53
     profiles: dict[str, Profile]
-    start: StartWay = StartWay()
+    start: StartOptions = StartOptions()
 
 
-class Armed(Reply):
-    """The step is loaded. durations_s, terms, edge: as in the proposal, with the clock mapping that is frozen into it,
+class ArmedReply(Reply):
+    """The step is loaded. durations_s, terms, edge: as in the proposal, for the clock mapping that is frozen into it,
     at T0."""
 
     durations_s: dict[str, float] = Field(default={})
-    terms: list[Term] = Field(default=[])
-    edge: list[Term] = Field(default=[])
+    terms: list[BudgetTerm] = Field(default=[])
+    edge: list[BudgetTerm] = Field(default=[])
     mapping: ClockMapping | None = None
     took_ns: Int53 = 0
-    stages_ns: dict[str, Int53] = Field(default={}, description="Where the time of arming went.")
+    stages_ns: dict[str, Int53] = Field(default={}, description="Duration of each stage of arming.")
 
 
-class Commit(StepRef):
-    """Promise to start at T0 if `go` comes; who can begin `sooner` promises every T0 before it by whole ticks, too."""
+class CommitRequest(StepRequest):
+    """Promise to start at T0 if `go` comes; a member that can advance promises each earlier T0 by whole ticks, too."""
 
     t0_fleet_ns: Int53
 
 
-class Go(StepRef):
-    """Every member has promised: begin at T0.
+class GoRequest(StepRequest):
+    """All members have promised: start at T0.
 
-    sooner_ns: by how much that is before the T0 that it was armed for, a whole number of the member's ticks (`tick_ns`
-    of its proposal, if it has any); only for who has said that it can (`sooner`). slack_ns: how much later than it has
-    promised a member may begin all the same, because the job allows more than was promised; who could only be later
-    still does not begin.
+    advance_ns: how much earlier than the T0 that it was armed for, a whole number of the member's ticks (`tick_ns` of
+    its proposal, if it has any); only for members that can advance.
+    start_tolerance_ns: how much later than promised a member may start, because the job allows more than was promised;
+    a member that could only start later than that does not start.
     """
 
     t0_fleet_ns: Int53
-    sooner_ns: Int53 = 0
-    slack_ns: Int53 = 0
+    advance_ns: Int53 = 0
+    start_tolerance_ns: Int53 = 0
 
 
-class Disarm(StepRef):
+class DisarmRequest(StepRequest):
     """Unload; nothing starts."""
 
 
-class Disarmed(Reply):
-    """begun: who was released already was told to stop so late that it may have begun before."""
+class DisarmedReply(Reply):
+    """may_have_started: the member was released before, and its stop came so late that it may have started."""
 
-    begun: bool = False
-
-
-StopMode = Literal["decelerate", "abort", "hold"]
+    may_have_started: bool = False
 
 
-class Stop(Request):
-    """Stop the controller, from anyone at any epoch. decelerate: by its planned ramp; abort: as fast as it can; hold:
-    by its planned ramp, and the step is followed until it is at rest, so that there is evidence of when that was."""
+StopMode = Literal["decelerate", "abort", "feed-hold"]
+
+
+class StopRequest(Request):
+    """Stop the controller; accepted from any client at any epoch.
+
+    decelerate: by its planned ramp. abort: as fast as it can. feed-hold: by its planned ramp; the step is followed
+    until it is at rest, so that there is evidence of when that was."""
 
     mode: StopMode = "decelerate"
     reason: str = ""
 
 
-class AxesRequest(Fenced):
+class AxesRequest(FencedRequest):
     """A request about axes of one controller, by their names in the fleet file."""
 
     axes: list[str]
 
 
 class LeaseRequest(AxesRequest):
-    """From now on only `holder` may move these axes, for `ttl_ms` or until it is said again; 0 takes it back.
+    """Only `holder` may move these axes, for `ttl_ms` or until the lease is renewed; 0 ends it.
 
-    What the holder moves when its lease ends is stopped. A job's holder is its id. reason: why it is taken back.
-    taking: grows with each time that axes are taken, so that no late renewal revives what was taken back before.
+    What the holder moves when its lease ends is stopped. holder: of a job, its id. reason: why it is ended.
+    acquisition: increases with each acquisition of axes, so that a late renewal does not revive a lease that has ended.
     """
 
     holder: str
-    taking: Int53 = 0
+    acquisition: Int53 = 0
     reason: str = ""
     ttl_ms: int = Field(ge=0, le=60_000)
 
 
 class LeaseReply(Reply):
-    """state: as it is when somebody else has the axes now, so that nobody needs to ask for it; none when nothing has
+    """state: the controller's state if another holder had the axes before, which saves a query; None if nothing has
     changed."""
 
     state: ControllerState | None = None
@@ -274,22 +311,22 @@ class HomeRequest(LeasedRequest):
 
 
 class HomeReply(Reply):
-    """Axes that know where they are now, and those that have not found their reference, with the reason."""
+    """Axes that are referenced now, and those that are not, with the reason."""
 
     homed: list[str] = Field(default=[])
-    failed: dict[str, Refusal] = Field(default={})
+    failed: dict[str, RefusalDetails] = Field(default={})
 
 
 class SetPositionRequest(LeasedRequest):
-    """Call the place where the one axis of `axes` stands `position` (None: take the offset away). Nothing moves."""
+    """Set the current position of the one axis of `axes` to `position` (None: remove the offset). Nothing moves."""
 
     position: Quantity | None
 
 
-class ConfigureRequest(Fenced):
-    """Take another configuration (a controller of a fleet file, in its JSON form); the adapter starts anew with it.
+class ConfigureRequest(FencedRequest):
+    """Replace the configuration (a controller of a fleet file, in its JSON form); the adapter restarts with it.
 
-    check: only say whether it could be done.
+    check: only report whether it could be done.
     """
 
     configuration: dict[str, Any]
@@ -297,10 +334,11 @@ class ConfigureRequest(Fenced):
 
 
 class JogRequest(Request):
-    """Move axes at a velocity (unit/s, user's direction) for `valid_ms`; 0 stops the axis. From the lease's holder.
+    """Move axes at a velocity (unit/s, user's direction) for `valid_ms`; 0 stops the axis. Only from the lease's
+    holder.
 
-    seq: grows with each request of a holder; an older one that comes late is refused. renew: go on with what moves,
-    or is still told to; an axis that has been stopped meanwhile stays stopped.
+    seq: increases with each request of a holder; an older one that arrives late is refused. renew: continue motion that
+    was requested before; an axis that has been stopped meanwhile stays stopped.
     """
 
     holder: str
@@ -310,13 +348,13 @@ class JogRequest(Request):
     valid_ms: int = Field(default=200, ge=20, le=200)
 
 
-class OutputRequest(Fenced):
+class OutputRequest(FencedRequest):
     output: str
     value: bool
 
 
-class Raw(Request):
-    """A line in the make's own language. Logged; needs the leases of all axes, and `i_know`: no limit is checked."""
+class RawRequest(Request):
+    """A command in the make's own language. Logged; needs the leases of all axes, and `i_know`: no limit is checked."""
 
     holder: str
     command: str
@@ -327,18 +365,18 @@ class RawReply(Reply):
     reply: str = ""
 
 
-class Estop(Model):
-    """Stops everything that hears it, and latches."""
+class EstopMessage(Model):
+    """Stops every controller that receives it, and latches."""
 
     event: str
     actor: str
     reason: str = ""
 
 
-class Reset(Request):
-    """Release the e-stop latch named `event` (`None`: whichever is latched), and clear what can be cleared.
+class ResetRequest(Request):
+    """Release the e-stop latch named `event` (`None`: whichever is latched), and clear faults that can be cleared.
 
-    check: only say whether the conditions for it hold.
+    check: only report whether the conditions for it hold.
     """
 
     event: str | None = None

@@ -1,7 +1,7 @@
-"""One axis's motion in time: a piecewise polynomial, evaluated without Ruckig. Also its form on the bus.
+"""The motion of one axis in time: a piecewise polynomial, evaluated without Ruckig. Also its form on the bus.
 
-Positions are relative to the start and divided by `scale_counts`, so that a profile of a straight line is one
-shape with a scale for each axis, and so that the numbers stay well conditioned whatever a count is.
+Positions are relative to the start and divided by `scale_counts`: a straight line is then one shape with one scale per
+axis, and the numbers stay well conditioned for any size of count.
 """
 
 from bisect import bisect_right
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 
-class Instant(NamedTuple):
-    """Motion at an instant: counts, counts/s, counts/s²; the position is relative to the profile's start."""
+class MotionState(NamedTuple):
+    """The motion at an instant: counts, counts/s, counts/s²; the position is relative to the profile's start."""
 
     position: float
     velocity: float
@@ -28,18 +28,18 @@ class Segment(NamedTuple):
     acceleration: float
     jerk: float
 
-    def at(self, t: float) -> Instant:
-        """Motion `t` s after the segment's start."""
+    def state_at(self, t: float) -> MotionState:
+        """The motion `t` s after the segment's start."""
         a, j = self.acceleration, self.jerk
-        return Instant(
+        return MotionState(
             self.position + t * (self.velocity + t * (a / 2 + t * j / 6)),
             self.velocity + t * (a + t * j / 2),
             a + t * j,
         )
 
 
-class _Integrated:
-    """Room for what has once been worked out of a profile."""
+class _IntegrationCache:
+    """Cache of values computed from a profile."""
 
     __slots__ = ("_peak_velocity", "_segments")
 
@@ -47,15 +47,15 @@ class _Integrated:
     _peak_velocity: float
 
 
-# Not frozen, though nobody changes one: a plan of 64 axes makes 64 of these, and freezing would double their cost.
+# Not frozen, although no code changes one: a plan of 64 axes makes 64 of these, and freezing would double their cost.
 @dataclass(slots=True)
-class Profile(_Integrated):
+class Profile(_IntegrationCache):
     """A motion from rest to rest.
 
     start_counts, end_counts: absolute commanded positions of the controller, exact.
     scale_counts: counts per unit of the shape (its sign is the direction).
-    durations_s, accelerations, jerks: one entry a segment (further accelerations, such as one at the end, are
-    ignored): segment k starts with accelerations[k] and has constant jerks[k]; units of the shape per second², ³.
+    durations_s, accelerations, jerks: one entry per segment (additional accelerations, such as one at the end, are
+    ignored): segment k starts with accelerations[k] and has constant jerks[k]; in units of the shape per second², ³.
     Velocity and position are continuous, from 0.
     """
 
@@ -73,18 +73,18 @@ class Profile(_Integrated):
 
     @property
     def segments(self) -> list[Segment]:
-        """The segments in counts, each with its start; what evaluation and lowering work on."""
+        """The segments in counts, each with its start; input of evaluation and lowering."""
         try:
             return self._segments
         except AttributeError:
-            self._segments = self._integrated()
+            self._segments = self._integrate_segments()
             return self._segments
 
-    def _integrated(self) -> list[Segment]:
+    def _integrate_segments(self) -> list[Segment]:
         segments: list[Segment] = []
         clock_s = position = velocity = 0.0
         scale = self.scale_counts
-        # `Segment.at` written out: a fleet's lowering and planning come here some hundred times a step.
+        # `Segment.state_at` written out: lowering and planning of a fleet run this some hundred times per step.
         for t, plain_a, plain_j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
             a, j = plain_a * scale, plain_j * scale
             segments.append(Segment(clock_s, t, position, velocity, a, j))
@@ -93,24 +93,25 @@ class Profile(_Integrated):
             velocity += t * (a + t * j / 2)
         return segments
 
-    def at(self, time_s: float) -> Instant:
-        """Motion `time_s` after the start. Before the start and after the end the axis stands; the end is exact."""
-        return self.evaluator()(time_s)
+    def state_at(self, time_s: float) -> MotionState:
+        """The motion `time_s` after the start. Before the start and after the end the axis is at rest; the end is
+        exact."""
+        return self.make_evaluator()(time_s)
 
-    def evaluator(self) -> Callable[[float], Instant]:
-        """`at` for many instants: integrates the segments once."""
+    def make_evaluator(self) -> Callable[[float], MotionState]:
+        """`state_at` for many instants: integrates the segments once."""
         segments = self.segments
         starts = [segment.start_s for segment in segments]
         end_s = self.duration_s
-        end = Instant(float(self.end_counts - self.start_counts), 0.0, 0.0)
+        end = MotionState(float(self.end_counts - self.start_counts), 0.0, 0.0)
 
-        def at(time_s: float) -> Instant:
+        def at(time_s: float) -> MotionState:
             if time_s <= 0.0:
-                return _STANDING
+                return _AT_REST
             if time_s >= end_s:
                 return end
             segment = segments[bisect_right(starts, time_s) - 1]
-            return segment.at(time_s - segment.start_s)
+            return segment.state_at(time_s - segment.start_s)
 
         return at
 
@@ -120,11 +121,11 @@ class Profile(_Integrated):
         try:
             return self._peak_velocity
         except AttributeError:
-            self._peak_velocity = self._fastest()
+            self._peak_velocity = self._find_peak_velocity()
             return self._peak_velocity
 
-    def _fastest(self) -> float:
-        """The largest speed lies at a segment's ends, or where the acceleration passes zero."""
+    def _find_peak_velocity(self) -> float:
+        """The largest speed is at the end of a segment, or where the acceleration is zero."""
         speed = 0.0
         for _, t, _, v, a, j in self.segments:
             speed = max(speed, abs(v), abs(v + t * (a + t * j / 2)))
@@ -134,31 +135,32 @@ class Profile(_Integrated):
 
     @property
     def peak_acceleration(self) -> float:
-        """The largest acceleration or deceleration, counts/s². Linear in a segment, so it lies at an end."""
+        """The largest acceleration or deceleration, counts/s². It is linear in a segment: largest at an end."""
         return max(
             (max(abs(e.acceleration), abs(e.acceleration + e.jerk * e.duration_s)) for e in self.segments), default=0.0
         )
 
     @property
-    def gap(self) -> tuple[float, float]:
-        """How far its segments end from rest at `end_counts`: counts, counts/s. A sound profile has (0, 0)."""
+    def end_error(self) -> tuple[float, float]:
+        """The distance of the last segment's end from rest at `end_counts`: counts, counts/s. (0, 0) for a sound
+        profile."""
         segments = self.segments
-        last = segments[-1].at(segments[-1].duration_s) if segments else _STANDING
+        last = segments[-1].state_at(segments[-1].duration_s) if segments else _AT_REST
         return abs(last.position - (self.end_counts - self.start_counts)), abs(last.velocity)
 
     @property
     def extent_counts(self) -> tuple[float, float]:
-        """The smallest and largest absolute position on the way, turning points inside segments included."""
+        """The smallest and largest absolute position during the motion, turning points inside segments included."""
         points = [0.0, float(self.end_counts - self.start_counts)]
         for each in self.segments:
-            points += (each.position, each.at(each.duration_s).position)
-            for root in _turning_points(each.velocity, each.acceleration, each.jerk):
+            points += (each.position, each.state_at(each.duration_s).position)
+            for root in _find_turning_points(each.velocity, each.acceleration, each.jerk):
                 if 0.0 < root < each.duration_s:
-                    points.append(each.at(root).position)
+                    points.append(each.state_at(root).position)
         return self.start_counts + min(points), self.start_counts + max(points)
 
-    def stretched(self, factor: float) -> "Profile":
-        """The same path in `factor` times the time (>= 1: limits that held still hold)."""
+    def stretch_time(self, factor: float) -> "Profile":
+        """The same path in `factor` times the time (>= 1, so that limits that held still hold)."""
         return Profile(
             self.start_counts,
             self.end_counts,
@@ -169,11 +171,11 @@ class Profile(_Integrated):
         )
 
 
-_STANDING = Instant(0.0, 0.0, 0.0)
+_AT_REST = MotionState(0.0, 0.0, 0.0)
 
 
-def _turning_points(v: float, a: float, j: float) -> tuple[float, ...]:
-    """Where v + a t + j t²/2 is zero."""
+def _find_turning_points(v: float, a: float, j: float) -> tuple[float, ...]:
+    """The times at which v + a t + j t²/2 is zero."""
     if j == 0.0:
         return (-v / a,) if a else ()
     square = a * a - 2 * j * v

@@ -1,4 +1,4 @@
-"""How a job stands in the queue: when it may begin, and before whom. What the job does is in the job itself."""
+"""A job's place in the queue: when it may begin, and its order. The job itself describes the motion."""
 
 from datetime import UTC, datetime
 from typing import Annotated, Literal
@@ -7,25 +7,25 @@ from pydantic import BeforeValidator, Field
 
 from orchestrator.model.base import Model
 
-MOST_STEPS = 10_000  # of a job with all its repeats
+MAX_STEPS = 10_000  # of a job including all repeats
 
 
 def parse_utc(text: str) -> datetime:
-    """The instant of RFC 3339 text. Raises `ValueError` for other text, and for a time without its offset."""
+    """Parse RFC 3339 text. Raises `ValueError` for other text, and for a time without an offset."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"{text!r} is no RFC 3339 time; write e.g. 2026-11-21T22:00:00+01:00") from None
+        raise ValueError(f"{text!r} is not an RFC 3339 time; write e.g. 2026-11-21T22:00:00+01:00") from None
     if instant.tzinfo is None:
-        raise ValueError(f"{text!r} does not say its offset from UTC; write e.g. {text}Z or {text}+01:00")
+        raise ValueError(f"{text!r} has no offset from UTC; write e.g. {text}Z or {text}+01:00")
     try:
         return instant.astimezone(UTC)
     except OverflowError:
-        raise ValueError(f"{text!r} is beyond the calendar") from None
+        raise ValueError(f"{text!r} is outside the calendar") from None
 
 
 def format_utc(instant: datetime) -> str:
-    """RFC 3339 UTC with microseconds, as `Clock.utc` gives it: such texts are in order when their instants are."""
+    """Format as RFC 3339 UTC with microseconds, like `Clock.utc`: the texts sort in the order of their instants."""
     return instant.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ").rjust(27, "0")
 
 
@@ -37,14 +37,16 @@ Utc = Annotated[str, BeforeValidator(_in_utc)]
 """An RFC 3339 instant, kept as UTC with microseconds."""
 
 
-class Terms(Model):
-    """What a job's submitter says about its place in the queue."""
+class QueueTerms(Model):
+    """Queue options that are given at submission."""
 
     priority: int = Field(default=0, ge=-100, le=100, description="Higher ones come first.")
-    repeat: int = Field(default=1, ge=1, le=MOST_STEPS, description="How often its steps are run, one after the other.")
+    repeat: int = Field(
+        default=1, ge=1, le=MAX_STEPS, description="How often its steps are run, one run after the other."
+    )
     after: str | None = Field(default=None, max_length=64, description="Id of the job that must be done before.")
     at: Utc | None = Field(default=None, description="Not before this time.")
     missed: Literal["run", "skip"] = Field(
-        default="skip", description="What becomes of it when nobody reigned at its time."
+        default="skip", description="Whether to run or skip it if no leader was active at its time."
     )
     held: bool = Field(default=False, description="It waits until it is released.")

@@ -5,9 +5,9 @@ from typing import Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Int53, Model
-from orchestrator.model.messages import Refusal, Term
+from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
-from orchestrator.model.queue import Terms
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass
 
 JobState = Literal[
@@ -17,18 +17,18 @@ JobState = Literal[
     "armed",
     "committed",
     "running",
-    "holding",
+    "paused",
     "done",
     "failed",
     "cancelled",
     "aborted",
     "interrupted",
 ]
-ENDED: frozenset[str] = frozenset({"done", "failed", "cancelled", "aborted", "interrupted"})
+FINISHED_STATES: frozenset[str] = frozenset({"done", "failed", "cancelled", "aborted", "interrupted"})
 
 
-class Transition(Model):
-    """A change of a job's state: why, by whom, when."""
+class JobTransition(Model):
+    """A change of a job's state, with its reason, originator and time."""
 
     state: JobState
     reason: str
@@ -37,8 +37,8 @@ class Transition(Model):
     fleet_ns: Int53 | None = None
 
 
-class Progress(Model):
-    """A job as it stands, on `job/{id}/state`."""
+class JobProgress(Model):
+    """The current state of a job, on `job/{id}/state`."""
 
     schema_: Literal["tutti.progress/1"] = Field(default="tutti.progress/1", alias="schema")
     job_id: str
@@ -54,7 +54,7 @@ class Progress(Model):
     utc: str
 
 
-class Skew(Model):
+class SkewInterval(Model):
     """A spread of instants that is known only as an interval, in ns."""
 
     at_least_ns: Int53
@@ -62,36 +62,39 @@ class Skew(Model):
 
 
 class MemberBudget(Model):
-    """The predicted start of one member against T0, term by term."""
+    """The predicted start of one member relative to T0, term by term."""
 
-    terms: list[Term]
+    terms: list[BudgetTerm]
     earliest_ns: Int53
     latest_ns: Int53
 
 
-class Predicted(Model):
-    """A skew that is guaranteed not to be larger, what is allowed of it if anything, and who makes it worst."""
+class PredictedSkew(Model):
+    """A guaranteed upper bound of a skew, the allowed value if there is one, and the member with the largest share."""
 
     predicted_ns: Int53
     allowed_ns: Int53 | None
     worst_member: str
 
 
-class Budget(Model):
-    """The predicted start skew of a step, guaranteed, and who makes it worst; end and path skew once it is lowered."""
+class SyncBudget(Model):
+    """The guaranteed predicted start skew of a step and the member with the largest share; end and path skew once the
+    step is lowered."""
 
     predicted_ns: Int53
     allowed_ns: Int53
     worst_member: str
     worst_term: str
-    by_line: bool = Field(default=False, description="All start by one line: when its edge comes does not matter.")
+    by_trigger_line: bool = Field(
+        default=False, description="All start by one trigger line: the instant of its edge does not matter."
+    )
     members: dict[str, MemberBudget]
-    end: Predicted | None = None
-    path: Predicted | None = None
+    end: PredictedSkew | None = None
+    path: PredictedSkew | None = None
 
     @property
-    def slack_ns(self) -> int:
-        """What is left of what the job allows: of start, end and path, whichever leaves least."""
+    def margin_ns(self) -> int:
+        """The remaining margin of what the job allows: the smallest of start, end and path."""
         limits = (self.end, self.path)
         left = [each.allowed_ns - each.predicted_ns for each in limits if each and each.allowed_ns is not None]
         return max(0, min([self.allowed_ns - self.predicted_ns, *left]))
@@ -110,18 +113,18 @@ class MemberReport(Model):
     evidence: dict[str, AxisEvidence] = Field(default={})
 
 
-class Held(Model):
-    """A hold inside a motion step: by whom, when, and how far the axes' rests were apart, by evidence."""
+class FeedHold(Model):
+    """A feed hold inside a motion step: by whom, when, and the spread of the axes' coming to rest, by evidence."""
 
     by: str
     utc: str
-    rest_skew: Skew | None = None
+    rest_skew: SkewInterval | None = None
 
 
 class StepReport(Model):
-    """What one step did. One that was held inside says of its last part how it went, and when it was held before.
+    """The record of one step. After feed holds it describes the last part, and lists the holds before.
 
-    arming_fleet_ns: when its last arming began. settled_fleet_ns: when T0 was settled, all having promised.
+    arming_fleet_ns: start of its last arming. settled_fleet_ns: when T0 was settled, after all members had promised.
     """
 
     index: int
@@ -135,16 +138,16 @@ class StepReport(Model):
     settled_fleet_ns: Int53 | None = None
     t0_fleet_ns: Int53 | None = None
     members: dict[str, MemberReport] = Field(default={})
-    budget: Budget | None = None
-    start_skew: Skew | None = None
-    end_skew: Skew | None = None
+    budget: SyncBudget | None = None
+    start_skew: SkewInterval | None = None
+    end_skew: SkewInterval | None = None
     verdict: Literal["green", "amber", "red", "none"] = "none"
-    refused: Refusal | None = None
-    holds: list[Held] = Field(default=[])
+    refused: RefusalDetails | None = None
+    feed_holds: list[FeedHold] = Field(default=[])
 
 
 class AxisRecording(Model):
-    """One axis of a step: its profile (counts), and what polls have seen: (fleet ns, actual counts)."""
+    """One axis of a step: its profile (counts), and polled samples: (fleet ns, actual counts)."""
 
     unit: str
     counts_per_unit: float
@@ -153,7 +156,7 @@ class AxisRecording(Model):
 
 
 class StepRecording(Model):
-    """What a motion step was planned to do and what polls have shown of it. Kept beside the report, which is short."""
+    """The plan of a motion step and its polled samples. Kept apart from the report, which is short."""
 
     schema_: Literal["tutti.recording/1"] = Field(default="tutti.recording/1", alias="schema")
     step: int
@@ -177,17 +180,17 @@ class JobReport(Model):
     ended_utc: str | None = None
     max_start_skew_ns: Int53
     repeat: int = 1
-    origin: str | None = Field(default=None, description="The job that this one does again.")
+    origin: str | None = Field(default=None, description="The job that this one re-runs.")
     from_step: int = Field(default=0, description="The step that it began with.")
     steps: list[StepReport] = Field(default=[])
-    transitions: list[Transition] = Field(default=[])
+    transitions: list[JobTransition] = Field(default=[])
     notes: dict[str, Any] = Field(default={})
 
 
-class Lease(Model):
-    """Who may move a controller, or an axis of it, on `lease/{controller}[/{axis}]`. No holder: it is free.
+class LeaseState(Model):
+    """The holder that may move a controller, or an axis of it, on `lease/{controller}[/{axis}]`. No holder: it is free.
 
-    holder: a job's id, or `hand-…` for a person. what: in words.
+    holder: a job's id, or `manual-…` for an operator. what: the purpose in words.
     """
 
     schema_: Literal["tutti.lease/1"] = Field(default="tutti.lease/1", alias="schema")
@@ -202,8 +205,8 @@ class Lease(Model):
 class QueueEntry(Model):
     """A job in a list. A job of N steps that is repeated has the steps 0 to repeat * N - 1.
 
-    reason: of its state; of one that is queued, for whom it waits. place: in the queue, the next one is 1. held_by: who
-    holds it, if it is held. origin: the job that it does again, from step `from_step` on.
+    reason: of its state; for a queued job, what it waits for. place: position in the queue, 1 is next. held_by:
+    originator of the hold, if it is held. origin: the job that it re-runs, from step `from_step` on.
     """
 
     id: str
@@ -213,15 +216,15 @@ class QueueEntry(Model):
     reason: str
     submitted_utc: str
     place: int | None = None
-    terms: Terms = Terms()
+    terms: QueueTerms = QueueTerms()
     held_by: str = ""
     origin: str | None = None
     from_step: int = 0
 
 
 class QueueState(Model):
-    """Jobs in a list: on `queue` those that run, then those that wait, in the queue's order (the first of them, of
-    `total` in all); in the answer to `svc/list` the newest of those asked for, newest first."""
+    """A list of jobs. On `queue`: the running ones, then the waiting ones in the queue's order (the first of `total`).
+    In the answer to `svc/list`: the matching jobs, newest first."""
 
     schema_: Literal["tutti.queue/1"] = Field(default="tutti.queue/1", alias="schema")
     total: int = 0

@@ -1,4 +1,4 @@
-"""What users ask of the reigning coordinator, on `svc/{verb}`, and its answers."""
+"""Requests of users to the leader, on `svc/{verb}`, and its replies."""
 
 from typing import Any, Literal
 
@@ -7,45 +7,45 @@ from pydantic import Field
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
 from orchestrator.model.messages import Reply, Request
-from orchestrator.model.queue import MOST_STEPS, Terms, Utc
-from orchestrator.model.report import JobReport, JobState, QueueEntry, StepRecording, Transition
+from orchestrator.model.queue import MAX_STEPS, QueueTerms, Utc
+from orchestrator.model.report import JobReport, JobState, JobTransition, QueueEntry, StepRecording
 
-LONGEST_HAND_S = 24 * 3600.0  # `tutti axis take --for`; who renews says much less
-HAND = r"^hand-[a-z0-9-]{1,60}$"
+MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one
+MANUAL_HOLDER_PATTERN = r"^manual-[a-z0-9-]{1,60}$"
 
 
-class Submit(Request):
-    """Take a job. The same `client_key` again gives the same job back."""
+class SubmitJob(Request):
+    """Submit a job. The same `client_key` again returns the same job."""
 
     job: Job
     client_key: str = Field(min_length=1, max_length=200)
-    terms: Terms = Terms()
+    terms: QueueTerms = QueueTerms()
     dry_run: bool = False
 
 
-class Submitted(Reply):
-    """entry: how the job stands in the queue, its time resolved to UTC."""
+class JobSubmitted(Reply):
+    """entry: the job's place in the queue, with its time resolved to UTC."""
 
     job_id: str = ""
     entry: QueueEntry | None = None
     dry_run: dict[str, Any] | None = None
 
 
-class Again(Request):
-    """Do an ended job again, from one of its steps on: a new job, linked to the old one by its `origin`.
+class RetryJob(Request):
+    """Re-run a finished job, from one of its steps on: a new job, linked to the old one by its `origin`.
 
-    dry_run: only say where its axes stand now. terms: None leaves the old one's repeats, and nothing else of its terms.
+    dry_run: only report the current positions of its axes. terms: None keeps the old job's repeats, and no other terms.
     """
 
     job_id: str
-    from_step: int = Field(default=0, ge=0, le=MOST_STEPS)
+    from_step: int = Field(default=0, ge=0, le=MAX_STEPS)
     client_key: str = Field(min_length=1, max_length=200)
-    terms: Terms | None = None
+    terms: QueueTerms | None = None
     dry_run: bool = False
 
 
-class AxisNow(Model):
-    """Where an axis stands now, in its unit, as jobs speak of it; None: nobody knows."""
+class AxisPosition(Model):
+    """The current position of an axis, in its unit, in user coordinates; None if it is not known."""
 
     axis: str
     unit: str
@@ -54,70 +54,70 @@ class AxisNow(Model):
     referenced: bool = False
 
 
-class AgainReply(Submitted):
-    """axes: those that the remaining steps move. warnings: what a person should think of before they are run."""
+class JobRetried(JobSubmitted):
+    """axes: those that the remaining steps move. warnings: what to consider before they are run."""
 
     steps: list[str] = Field(default=[], description="The remaining steps, in words.")
-    axes: list[AxisNow] = Field(default=[])
+    axes: list[AxisPosition] = Field(default=[])
     warnings: list[str] = Field(default=[])
 
 
-class JobRef(Request):
+class JobReference(Request):
     job_id: str
 
 
-class PauseJob(JobRef):
-    """Hold a running job at the end of its step; with `now`, inside a motion step: its axes brake together."""
+class PauseJob(JobReference):
+    """Pause a running job after its current step; with `now`, inside a motion step by a feed hold of all its axes."""
 
     now: bool = False
 
 
-class JobRefs(Request):
-    """Several jobs. For `release`: none stands for all that are held."""
+class JobReferences(Request):
+    """Several jobs. For `release`: an empty list stands for all held jobs."""
 
     job_ids: list[str] = Field(default=[], max_length=10_000)
 
 
-class MoveJob(JobRef):
-    """Put a queued job before another one; it gets that one's priority."""
+class ReorderJob(JobReference):
+    """Move a queued job before another one; it gets that one's priority."""
 
     before: str
 
 
-class Prune(Request):
-    """Forget ended jobs that were submitted more than `older_s` ago, but none of the newest `keep`."""
+class PruneJobs(Request):
+    """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`."""
 
     older_s: float = Field(ge=0, le=100 * 366 * 86_400)
     keep: int = Field(ge=0, le=100_000_000)
 
 
-class Pruned(Reply):
+class JobsPruned(Reply):
     jobs: int = 0
 
 
 class JobShown(Reply):
-    """Everything the journal has of a job; `report` once it has ended."""
+    """All that the journal has of a job; `report` once it has ended."""
 
     entry: QueueEntry | None = None
     job: Job | None = None
     report: JobReport | None = None
-    transitions: list[Transition] = Field(default=[])
+    transitions: list[JobTransition] = Field(default=[])
 
 
-class RecordingRef(JobRef):
+class RecordingReference(JobReference):
     """The recording of one motion step of a job."""
 
-    step: int = Field(ge=0, le=MOST_STEPS)
+    step: int = Field(ge=0, le=MAX_STEPS)
 
 
-class Recorded(Reply):
-    """None: the step moved nothing, or its recording is not kept any more."""
+class RecordingReply(Reply):
+    """None: the step moved nothing, or its recording has been deleted."""
 
     recording: StepRecording | None = None
 
 
 class ListJobs(Request):
-    """The newest jobs: in a state, with a text in their name, submitted at an instant or later."""
+    """List the newest jobs: in a state, with a text in their name, submitted at an instant or later."""
 
     limit: int = Field(default=50, ge=1, le=10_000)
     state: JobState | None = None
@@ -126,57 +126,57 @@ class ListJobs(Request):
 
 
 class StopFleet(Request):
-    """Stop the running jobs, all their axes, and hold what is queued until somebody releases it."""
+    """Stop the running jobs and all axes, and hold all queued jobs until they are released."""
 
     mode: Literal["decelerate", "abort"] = "decelerate"
 
 
-class Take(Request):
-    """Take axes in hand: nothing else moves them until `holder` gives them back or `ttl_s` has passed without another
-    such request, and jobs that need them wait. Refused (code `leased`) while a job or somebody else has one of them,
-    and (code `permit`) while a permit of theirs is missing; when one is lost later, or an adapter starts anew, the
-    lease ends.
+class AcquireAxes(Request):
+    """Acquire axes for manual control: nothing else moves them until `holder` releases them or `ttl_s` has passed
+    without a renewal, and jobs that need them wait. Refused with code `leased` while a job or another holder has one
+    of them, and with code `permit` while a permit of theirs is missing. The lease ends when a permit is lost later,
+    or when an adapter restarts.
 
-    axes: axes, groups or controllers. holder: an id of the taker's own, new for each taking, `hand-…`. reserve: for
-    work at the machine. The axes then stay the taker's when a permit is missing or lost, or the coordinator starts
-    anew; only the right to move them is gone, until they have been given back and taken again.
+    axes: axes, groups or controllers. holder: an id of the client's own, new for each acquisition, `manual-…`. reserve:
+    for work at the machine. The axes then stay reserved when a permit is missing or lost, and when the coordinator
+    restarts; only the right to move them ends, until they have been released and acquired again.
     """
 
     axes: list[str] = Field(min_length=1)
-    holder: str = Field(pattern=HAND)
-    what: str = Field(default="by hand", max_length=80, description="Shown to those who are refused.")
-    ttl_s: float = Field(default=3.0, ge=0.5, le=LONGEST_HAND_S)
+    holder: str = Field(pattern=MANUAL_HOLDER_PATTERN)
+    what: str = Field(default="manual control", max_length=80, description="Shown to clients that are refused.")
+    ttl_s: float = Field(default=3.0, ge=0.5, le=MAX_MANUAL_LEASE_S)
     reserve: bool = False
 
 
-class Taken(Reply):
-    """All axes that are held now: whole controllers where their axes can not be told apart. may_move: they can be
-    jogged; not so what is only reserved."""
+class AxesAcquired(Reply):
+    """All axes that are acquired: whole controllers where their axes cannot be leased separately. may_move: they can be
+    jogged; false for axes that are only reserved."""
 
     axes: list[str] = Field(default=[])
     may_move: bool = True
 
 
-class GiveBack(Request):
-    """Give back everything that a hand, `holder`, has; what still moves of it is stopped."""
+class ReleaseAxes(Request):
+    """Release all axes of a manual `holder`; those that still move are stopped."""
 
-    holder: str = Field(pattern=HAND)
+    holder: str = Field(pattern=MANUAL_HOLDER_PATTERN)
 
 
-class Reload(Request):
-    """Take over another fleet file, in its JSON form, with idle and unleased controllers only."""
+class ReloadFleet(Request):
+    """Load another fleet file, in its JSON form; only idle controllers without a lease may change."""
 
     configuration: dict[str, Any]
 
 
-class Reloaded(Reply):
-    """Controllers that have taken another configuration."""
+class FleetReloaded(Reply):
+    """The controllers whose configuration has changed."""
 
     changed: list[str] = Field(default=[])
 
 
-class WireFound(Model):
-    """What was found of the wire from an output to an input, both `controller.point`."""
+class WireFinding(Model):
+    """The result for the wire from an output to an input, both `controller.point`."""
 
     output: str
     input: str
@@ -186,4 +186,4 @@ class WireFound(Model):
 
 
 class WiringChecked(Reply):
-    wires: list[WireFound] = Field(default=[])
+    wires: list[WireFinding] = Field(default=[])

@@ -1,11 +1,12 @@
-"""What an adapter says of its controller: state, events, information, clock."""
+"""What an adapter publishes of its controller: state, events, information, clock."""
 
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Id, Int53, Model, Rational
+from orchestrator.model.errors import ControllerFault
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
 StartClass = Literal["clock", "line", "sync", "host"]
@@ -33,22 +34,27 @@ EventKind = Literal[
 ]
 
 
-class Fault(Model):
-    """Something that keeps a controller from working, and what to do about it."""
+class FaultReport(Model):
+    """A condition that keeps a controller from working, and the remedy."""
 
     code: str
     text: str
     remedy: str
     axis: str | None = None
 
+    @classmethod
+    def of(cls, error: ControllerFault) -> Self:
+        """The report of `error`."""
+        return cls(code=error.code, text=error.text, remedy=error.remedy, axis=error.axis)
+
 
 class AxisState(Model):
     """One axis now, in its unit. Three coordinates: raw (counts of the controller), motor (raw in the axis's unit),
-    user (motor plus `offset`, within one turn where the axis wraps). Jobs speak of user positions; soft limits are
-    motor positions.
+    user (motor plus `offset`, within one turn where the axis wraps). Jobs use user positions; soft limits are motor
+    positions.
 
-    position, commanded: user. moving: also while it is out of reach, unless its link broke after it was seen at rest.
-    homing: it looks for its reference now.
+    position, commanded: user. moving: also while it is offline, unless it was seen at rest before its link broke.
+    homing: it is searching for its reference.
     """
 
     position: float
@@ -85,7 +91,7 @@ class EstopLatch(Model):
 
 
 class ControllerState(Model):
-    """The full state of a controller: on change, at the fleet file's rates, and as heartbeat."""
+    """The full state of a controller: published on change, at the fleet file's rates, and as heartbeat."""
 
     schema_: Literal["tutti.state/1"] = Field(default="tutti.state/1", alias="schema")
     controller: Id
@@ -93,52 +99,54 @@ class ControllerState(Model):
     seq: Int53
     utc: str
     fleet_ns: Int53 | None
-    read_fleet_ns: Int53 | None = Field(default=None, description="When the answer that it rests on had come.")
+    read_fleet_ns: Int53 | None = Field(default=None, description="When the poll's answer had arrived.")
     mode: Mode
     axes: dict[str, AxisState]
     inputs: dict[str, bool]
     outputs: dict[str, bool]
-    faults: list[Fault]
+    faults: list[FaultReport]
     clock: ClockQuality | None
     estop: EstopLatch | None
     epoch: Int53
     digest: str
     job: str | None = None
     step: int | None = None
-    leases: dict[str, str] = Field(default={}, description="Who may move: holder by axis, for axes that are held.")
-    event_seq: Int53 = Field(default=0, description="The last event, so that who has missed it learns of that.")
+    leases: dict[str, str] = Field(default={}, description="Holders by axis, for axes that are leased.")
+    event_seq: Int53 = Field(
+        default=0, description="The last event's number, so that a reader that missed it can query it."
+    )
 
 
-class Interval(Model):
-    """An instant of fleet time that is not known better than this; the truth lies inside, ends included."""
+class TimeInterval(Model):
+    """An instant of fleet time that is known only as an interval; the true instant is inside, ends included."""
 
     earliest_ns: Int53
     latest_ns: Int53
 
 
 class AxisEvidence(Model):
-    """When an axis really started and ended, by its controller's own evidence.
+    """When an axis started and ended, by its controller's own evidence.
 
-    modelled: the start where the evidence is vague, narrowed by what the member had promised; true as far as its link
-    and host keep within their models, while `start` does not rest on them.
-    late_ns: so much later than promised was the start given, because the host was busy; what else was promised holds.
-    settled_s: from the end of the profile until it was seen in its window, for axes with `done: in_position`.
+    modelled: the start where the evidence is vague, narrowed by the member's promise; valid while its link and host
+    stay within their models, on which `start` does not depend.
+    late_ns: how much later than promised the start was given, because the host was busy; the rest of the promise held.
+    settled_s: from the end of the profile until the axis was in its window, for axes with `done: in_position`.
     """
 
-    start: Interval
+    start: TimeInterval
     late_ns: Int53 = 0
-    modelled: Interval | None = None
-    end: Interval | None = None
+    modelled: TimeInterval | None = None
+    end: TimeInterval | None = None
     settled_s: float | None = None
 
     @property
-    def judged_start(self) -> Interval:
-        """The start that verdicts rest on."""
+    def start_for_verdict(self) -> TimeInterval:
+        """The start interval that the verdict uses."""
         return self.modelled or self.start
 
 
-class Event(Model):
-    """What must not be lost. Numbered without gaps within an adapter's instance."""
+class ControllerEvent(Model):
+    """An event that must not be lost. Numbered without gaps within an adapter's instance."""
 
     schema_: Literal["tutti.event/1"] = Field(default="tutti.event/1", alias="schema")
     controller: Id
@@ -151,38 +159,38 @@ class Event(Model):
     job: str | None = None
     step: int | None = None
     evidence: dict[str, AxisEvidence] = Field(default={})
-    fault: Fault | None = None
+    fault: FaultReport | None = None
 
 
 class EventsRequest(Model):
-    """Ask an adapter for the events after `after`."""
+    """Query an adapter for the events after number `after`."""
 
     after: Int53
 
 
 class EventsReply(Model):
-    """Events still in the ring. `lost` counts those after `after` that the ring has dropped."""
+    """Events still in the ring. lost: number of those after `after` that the ring has dropped."""
 
     instance: str
-    events: list[Event]
+    events: list[ControllerEvent]
     lost: int
 
 
-class Costs(Model):
-    """What it takes to arm, disarm and stop a controller, at most, in ns.
+class StepCosts(Model):
+    """Maximum times to arm, disarm and stop a controller, in ns.
 
-    by_turns: arming takes no longer when others on its line are armed meanwhile, because they take turns, command by
-    command; else they are armed one after another.
+    interleaved: arming takes no longer when other controllers on its line are armed at the same time, because they
+    alternate command by command; otherwise they are armed one after another.
     """
 
     arm_ns: Int53
-    by_turns: bool = False
+    interleaved: bool = False
     disarm_ns: Int53
     stop_ns: Int53
 
 
-class Info(Model):
-    """Who a controller is and what it can do."""
+class ControllerInfo(Model):
+    """Identity and capabilities of a controller."""
 
     controller: Id
     instance: str
@@ -192,9 +200,9 @@ class Info(Model):
     serial: str
     axes: dict[str, dict[str, Any]]
     start_classes: list[StartClass]
-    orders: list[Literal[2, 3]] = Field(description="Profiles it can execute: 2 trapezoids, 3 jerk-limited.")
+    orders: list[Literal[2, 3]] = Field(description="Profile orders it can execute: 2 trapezoidal, 3 jerk-limited.")
     independent_axes: bool
-    costs: Costs
+    costs: StepCosts
     digest: str
     options_schema: dict[str, Any]
 
@@ -202,9 +210,9 @@ class Info(Model):
 class ClockMapping(Model):
     """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns.
 
-    bound_ns: guaranteed error at host_at_ns, which was age_ns ago when this was said; it grows with drift_ppm.
-    rate_ppm: how far its tick is longer than it should be. residual_ns: mean distance of the readings. consistent: they
-    all fit the model of link and crystal; else the last one stands alone.
+    bound_ns: guaranteed error at host_at_ns, which was age_ns before this message; it grows with drift_ppm.
+    rate_ppm: how much longer its tick is than nominal. residual_ns: mean distance of the readings from the fit.
+    consistent: all readings fit the model of link and crystal; otherwise only the last one is used.
     """
 
     controller: Id
@@ -223,11 +231,11 @@ class ClockMapping(Model):
 
 
 class LearnedCrystal(Model):
-    """The crystal of a controller without a readable clock, from the moves that it has timed.
+    """The crystal of a controller without a readable clock, estimated from the moves that it has timed.
 
     rate_ppm: how much faster than its host's clock. bound_ppm: guaranteed error; error_ppm: standard deviation;
-    residual_ppm: mean distance of the last measurements. consistent: the moves fit the model of link and crystal; else
-    what was learned before is forgotten.
+    residual_ppm: mean distance of the last measurements. consistent: the moves fit the model of link and crystal;
+    otherwise earlier measurements are discarded.
     """
 
     rate_ppm: float
@@ -239,9 +247,10 @@ class LearnedCrystal(Model):
 
 
 class ClockReply(Model):
-    """How well a controller's clock is known now; no mapping: it has none that can be read, or it is not known yet."""
+    """How well a controller's clock is known now. No mapping: it has no readable clock, or the mapping is not known
+    yet."""
 
     controller: Id
     start_classes: list[StartClass]
     mapping: ClockMapping | None
-    crystal: LearnedCrystal | None = Field(default=None, description="Of a controller without a clock to read.")
+    crystal: LearnedCrystal | None = Field(default=None, description="For a controller without a readable clock.")

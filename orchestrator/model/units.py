@@ -1,8 +1,8 @@
 """Units of axes: a closed list, converted exactly.
 
 A factor is the unit's size in the base unit of its dimension (mm, deg, count), as a rational, so that a thousand
-relative moves there and back end on the same count. The radian is the one inexact size: pi is taken as the
-nearest double, once, and is exact from then on.
+relative moves back and forth end on the same count. The radian is the one inexact size: pi is taken as the nearest
+double once, and is exact from then on.
 """
 
 import math
@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 
 class Unit(StrEnum):
-    """The units that an axis or a value can have."""
+    """The units of axes and values."""
 
     M = "m"
     CM = "cm"
@@ -52,16 +52,16 @@ _SIZE: dict[Unit, tuple[str, Fraction]] = {
 
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*([A-Za-zµ\"']*)\s*$")
 
-LONGEST = 60  # characters of a quantity
-LARGEST = 1e15  # of any unit: in counts of any axis it is still a number that can be calculated with
+MAX_QUANTITY_LENGTH = 60  # maximum characters of a quantity
+MAX_QUANTITY = 1e15  # in any unit; its counts can still be computed for any axis
 
 
 class UnitError(ValueError):
-    """A value whose unit does not fit, or that is no number. The message says what is allowed."""
+    """A value that is not a number, or whose unit does not fit. The message lists what is allowed."""
 
 
-def convert(value: Fraction, of: Unit, to: Unit) -> Fraction:
-    """`value` in unit `of`, expressed in unit `to`. Raises `UnitError` when one can not become the other."""
+def convert_units(value: Fraction, of: Unit, to: Unit) -> Fraction:
+    """Convert `value` from unit `of` to unit `to`. Raises `UnitError` if their dimensions differ."""
     dimension, size = _SIZE[of]
     wanted, unit_size = _SIZE[to]
     if dimension != wanted:
@@ -71,7 +71,8 @@ def convert(value: Fraction, of: Unit, to: Unit) -> Fraction:
 
 
 def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
-    """A number in the axis's own unit, or text with a convertible unit (`"12.5 um"`), as an exact number of `unit`.
+    """Convert a number in the axis's own unit, or text with a convertible unit (`"12.5 um"`), to an exact number of
+    `unit`.
 
     Raises `UnitError`.
     """
@@ -79,7 +80,7 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
         return Fraction(str(value))
     found = _QUANTITY.match(value)
     if not found:
-        raise UnitError(f'{value!r} is no quantity; write a number, or a number and a unit, e.g. "12.5 {unit}"')
+        raise UnitError(f'{value!r} is not a quantity; write a number, or a number and a unit, e.g. "12.5 {unit}"')
     number, name = found.groups()
     if not name:
         return Fraction(number)
@@ -87,18 +88,20 @@ def parse_quantity(value: int | float | str, unit: Unit) -> Fraction:
         given = Unit(name.replace("µ", "u"))
     except ValueError:
         raise UnitError(f"unknown unit {name!r}; known units: {', '.join(Unit)}") from None
-    return convert(Fraction(number), given, unit)
+    return convert_units(Fraction(number), given, unit)
 
 
 def _check_quantity(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number in the axis\'s unit, or text with a unit such as "12.5 um"')
-    found = _QUANTITY.match(value[:LONGEST]) if isinstance(value, str) else None
-    if isinstance(value, str) and (found is None or len(value) > LONGEST):
-        raise ValueError(f'{value[:LONGEST]!r} is no quantity; write a number, or a number and a unit, e.g. "12.5 um"')
-    # An integer may be beyond every float.
-    if abs(float(found[1]) if found else value) > LARGEST:  # pyright: ignore[reportArgumentType]
-        raise ValueError(f"{value!r} is beyond all machines; the largest number is {LARGEST:g}")
+    found = _QUANTITY.match(value[:MAX_QUANTITY_LENGTH]) if isinstance(value, str) else None
+    if isinstance(value, str) and (found is None or len(value) > MAX_QUANTITY_LENGTH):
+        raise ValueError(
+            f'{value[:MAX_QUANTITY_LENGTH]!r} is not a quantity; write a number, or a number and a unit, e.g. "12.5 um"'
+        )
+    # An integer can exceed the range of a float.
+    if abs(float(found[1]) if found else value) > MAX_QUANTITY:  # pyright: ignore[reportArgumentType]
+        raise ValueError(f"{value!r} is out of range; the largest number is {MAX_QUANTITY:g}")
     return value
 
 
@@ -108,4 +111,4 @@ Quantity = Annotated[
     Field(description='A number in the axis\'s own unit, or text with a convertible unit, e.g. "12.5 um".'),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
 ]
-"""A value for an axis whose unit is known only together with the fleet: resolve it with `parse_quantity`."""
+"""A value for an axis whose unit is known only together with the fleet: convert it with `parse_quantity`."""

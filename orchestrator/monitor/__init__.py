@@ -1,1 +1,1 @@
-"""What only listens: views of the fleet for people."""
+"""Read-only views of the fleet for people."""

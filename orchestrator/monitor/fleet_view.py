@@ -1,4 +1,4 @@
-"""The fleet and its jobs under way as they are now, gathered from the bus, and as tables for a terminal."""
+"""The current state of the fleet and its active jobs, gathered from the bus, as tables for a terminal."""
 
 from dataclasses import dataclass, field
 
@@ -10,8 +10,8 @@ from rich.text import Text
 
 from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
-from orchestrator.model.report import ENDED, Progress
-from orchestrator.model.state import AxisState, ControllerState, Event
+from orchestrator.model.report import FINISHED_STATES, JobProgress
+from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.monitor.tables import plain_table
 
 _MODE_STYLE = {
@@ -31,46 +31,47 @@ JOBS_SHOWN = 6
 
 @dataclass(slots=True)
 class LiveView:
-    """What is known of the fleet; `take` it samples as they come."""
+    """The known state of the fleet; pass each arriving sample to `take_sample`."""
 
     keys: Keys
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
-    jobs: dict[str, Progress] = field(default_factory=dict[str, Progress])
-    events: list[Event] = field(default_factory=list[Event])
+    jobs: dict[str, JobProgress] = field(default_factory=dict[str, JobProgress])
+    events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
 
     @property
     def expressions(self) -> tuple[str, ...]:
-        """What to subscribe to."""
+        """The key expressions to subscribe to."""
         return (self.keys.state(), self.keys.event(), self.keys.job_state())
 
     def take(self, sample: Sample) -> str | None:
-        """Take a sample in. The line to print where there is no live screen; None if it is not worth one."""
+        """Store a sample. Return the line to print where there is no live screen; None if the sample needs none."""
         try:
             if sample.key.endswith("/event"):
-                event = Event.model_validate_json(sample.payload)
+                event = ControllerEvent.model_validate_json(sample.payload)
                 self.events = [*self.events, event][-EVENTS_SHOWN:]
                 return f"{event.utc} {event.controller}: {event.kind}: {event.text}"
             if "/job/" in sample.key:
-                progress = Progress.model_validate_json(sample.payload)
+                progress = JobProgress.model_validate_json(sample.payload)
                 return job_line(progress) if self.note(progress) else None
             state = ControllerState.model_validate_json(sample.payload)
         except ValidationError:
-            return f"something that can not be read on {sample.key}"
+            return f"unreadable message on {sample.key}"
         before_state, self.states[state.controller] = self.states.get(state.controller), state
         if before_state is not None and before_state.mode == state.mode:
             return None
         return f"{state.utc} {state.controller}: {state.mode}"
 
-    def note(self, progress: Progress) -> bool:
-        """Take a job's progress in; whether its state or step has changed. Of ended jobs the newest stays."""
+    def note(self, progress: JobProgress) -> bool:
+        """Store a job's progress; return whether its state or step has changed. Of finished jobs only the newest is
+        kept."""
         before = self.jobs.pop(progress.job_id, None)
-        ends = progress.state in ENDED
-        kept = {job_id: each for job_id, each in self.jobs.items() if not (ends and each.state in ENDED)}
+        ends = progress.state in FINISHED_STATES
+        kept = {job_id: each for job_id, each in self.jobs.items() if not (ends and each.state in FINISHED_STATES)}
         self.jobs = kept | {progress.job_id: progress}
         return before is None or (before.state, before.step) != (progress.state, progress.step)
 
     def render(self) -> RenderableType:
-        """The whole screen."""
+        """Render the whole screen."""
         parts: list[RenderableType] = [state_table(self.states)]
         shown = sorted(self.jobs.values(), key=lambda each: (each.state == "queued", each.job_id))
         parts += [job_bar(each) for each in shown[:JOBS_SHOWN]]
@@ -85,7 +86,8 @@ class LiveView:
 
 
 def state_table(states: dict[str, ControllerState]) -> RenderableType:
-    """One row an axis: where it is, and what keeps it from moving; then what is wrong with whole controllers."""
+    """Build a table with one row per axis: its position, and the reason why it is not ready; then the faults of
+    whole controllers."""
     table = plain_table(["controller", "mode", "axis", "position>", "velocity>", "clock>", "axis is"])
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
@@ -105,14 +107,14 @@ def state_table(states: dict[str, ControllerState]) -> RenderableType:
             why = f": {state.estop.reason}" if state.estop.reason else ""
             by = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
             troubles.append(Text(by, style="bold red"))
-        held = {holder for holder in state.leases.values() if holder.startswith("hand-")}
-        troubles += [Text(f"{controller}: in hand ({holder})", style="yellow") for holder in sorted(held)]
+        held = {holder for holder in state.leases.values() if holder.startswith("manual-")}
+        troubles += [Text(f"{controller}: under manual control ({holder})", style="yellow") for holder in sorted(held)]
         troubles += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
     return Group(table, *troubles)
 
 
 def axis_words(axis: AxisState) -> Text:
-    """What an axis is, in few words: what keeps it from moving, or that nothing does."""
+    """Describe the state of an axis in few words: the reason why it is not ready, or that it is."""
     words: list[tuple[str, str]] = []
     if axis.homing:
         words.append(("homing", "cyan"))
@@ -131,23 +133,23 @@ def _clock_words(state: ControllerState) -> str:
     return f"±{state.clock.bound_ns / 1e6:.2f} ms" if state.clock is not None else ""
 
 
-def job_line(job: Progress) -> str:
-    """A job's progress as one line."""
+def job_line(job: JobProgress) -> str:
+    """Return a job's progress as one line."""
     reason = f" ({job.reason})" if job.reason else ""
-    if job.state in ENDED:
+    if job.state in FINISHED_STATES:
         return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}{reason}"
     return f"{job.utc} job {job.job_id} {job.name!r}: {job.state}, {_step(job)}{reason}"
 
 
-def job_bar(job: Progress) -> RenderableType:
-    """A job's progress: its name and state, and below a bar with the step."""
+def job_bar(job: JobProgress) -> RenderableType:
+    """Render a job's progress: name and state, and below them a bar with the step."""
     head = Text.assemble(
         "job ",
         (job.job_id, "bold"),
         f" {job.name!r}: ",
         (job.state, _MODE_STYLE.get(job.state, "green" if job.state == "done" else "")),
     )
-    if job.state in ENDED:
+    if job.state in FINISHED_STATES:
         return Text.assemble(head, f" ({job.reason})" if job.reason else "")
     grid = Table.grid(padding=(0, 1))
     grid.add_column()
@@ -160,6 +162,6 @@ def job_bar(job: Progress) -> RenderableType:
     return Group(head, grid)
 
 
-def _step(job: Progress) -> str:
-    """Numbered as reasons and reports number it, and as `--from-step` takes it."""
+def _step(job: JobProgress) -> str:
+    """Number the step as reasons and reports do, and as `--from-step` expects it."""
     return f"step {job.step} {job.step_name}, {job.step + 1} of {job.steps}"

@@ -1,4 +1,4 @@
-"""A step's planned against its sampled positions, as a picture."""
+"""A plot of a step's planned and sampled positions."""
 
 # Matplotlib types its keyword arguments only in part.
 # pyright: reportUnknownMemberType=false
@@ -18,10 +18,10 @@ COLOUR_PLAN, COLOUR_SEEN = "#7a8ca5", "#c2410c"
 
 
 def plot_step(recording: StepRecording, title: str, path: Path) -> None:
-    """Write a picture of all axes of a step: above what was planned and what polls have seen, below the difference.
+    """Write a plot of all axes of a step: planned and polled positions above, their difference below.
 
-    The difference holds the following error, and up to a poll's round trip of motion: a poll does not say at which
-    instant within it the controller looked.
+    The difference contains the following error, and the motion within one poll's round trip: a poll does not report
+    the instant at which the controller sampled the position.
     """
     mpl.rcParams["font.size"] = 9
     axes = list(recording.axes.items())
@@ -44,21 +44,21 @@ def plot_step(recording: StepRecording, title: str, path: Path) -> None:
     longest_s = max(axis.profile.duration_s for axis in recording.axes.values())
     for column in rows[-1]:
         column.set_xlabel("s after T0")
-        # A long arming would leave no room for the move.
+        # A long arming phase would leave no room for the move.
         column.set_xlim(-ROOM_BESIDE * longest_s, (1 + ROOM_BESIDE) * longest_s)
     figure.savefig(path)
 
 
 def _planned(axis: AxisRecording) -> tuple[list[float], list[float]]:
-    """The plan in the axis's unit (motor position), over its whole time."""
-    at, end_s = axis.profile.evaluator(), axis.profile.duration_s
+    """Return the plan in the axis's unit (motor position), over its whole time."""
+    at, end_s = axis.profile.make_evaluator(), axis.profile.duration_s
     times = [end_s * k / PLAN_POINTS for k in range(PLAN_POINTS + 1)]
     return times, [(axis.profile.start_counts + at(t).position) / axis.counts_per_unit for t in times]
 
 
 def _seen(recording: StepRecording, axis: AxisRecording) -> tuple[list[float], list[float], list[float]]:
-    """Instants (s after T0), positions, and distances to the plan, in the axis's unit."""
-    at, start = axis.profile.evaluator(), axis.profile.start_counts
+    """Return instants (s after T0), positions, and distances to the plan, in the axis's unit."""
+    at, start = axis.profile.make_evaluator(), axis.profile.start_counts
     times = [(at_ns - recording.t0_fleet_ns) * 1e-9 for at_ns, _ in axis.sampled]
     seen = [counts / axis.counts_per_unit for _, counts in axis.sampled]
     plan = [(start + at(t).position) / axis.counts_per_unit for t in times]

@@ -3,16 +3,16 @@
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from orchestrator.model.report import Budget, JobReport, Skew, StepReport
+from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget
 from orchestrator.model.state import AxisEvidence
 from orchestrator.monitor.tables import plain_table
 
 _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold red", "none": "dim"}
-_STEP_LONGEST = 14  # characters of a step's name that fit beside all the figures
+_STEP_LONGEST = 14  # characters of a step's name that fit into the row with all figures
 
 
 def report_tables(report: JobReport) -> RenderableType:
-    """The steps of a job with what went wrong, and for each move its members."""
+    """Build the tables of a job's steps with their faults, and of the members of each move."""
     style = "bold green" if report.state == "done" else "bold red"
     head = Text.assemble("job ", (report.job_id, "bold"), f" {report.name!r}: ", (report.state, style))
     if report.reason:
@@ -56,7 +56,7 @@ def _member_rows(step: StepReport) -> list[list[str]]:
     t0_ns = step.t0_fleet_ns or 0
     for name, member in step.members.items():
         starts = {axis: _around(each, t0_ns) for axis, each in member.evidence.items()}
-        # One line or one timer starts all axes of most controllers: said once.
+        # One command or one timer starts all axes of most controllers: show it once.
         if len(set(starts.values())) == 1:
             starts = {", ".join(member.axes): next(iter(starts.values()))}
         mapping = member.mapping
@@ -78,7 +78,7 @@ def _member_rows(step: StepReport) -> list[list[str]]:
 
 
 def _budget_rows(step: StepReport) -> list[list[str]]:
-    """The budget of a step term by term, and beside it what the evidence says."""
+    """Build the rows of a step's budget, term by term, each with the measured value."""
     rows: list[list[str]] = []
     budget, t0_ns = step.budget, step.t0_fleet_ns or 0
     for name, member in (budget.members if budget is not None else {}).items():
@@ -94,19 +94,19 @@ def _budget_rows(step: StepReport) -> list[list[str]]:
 
 
 def _later(step: StepReport) -> list[str]:
-    """Holds inside the step, starts that were later than promised, and its predicted end and path skew."""
+    """Describe feed holds inside the step, starts later than promised, and predicted end and path skew."""
     budget = step.budget
     lines = [
-        f"step {step.index}: held by {hold.by} at {hold.utc[11:19]} UTC; its axes came to rest within "
-        f"{_skew(hold.rest_skew) or 'a time that is not known'}"
-        for hold in step.holds
+        f"step {step.index}: feed hold by {hold.by} at {hold.utc[11:19]} UTC; its axes came to rest "
+        f"within {_skew(hold.rest_skew) or 'an unknown time'}"
+        for hold in step.feed_holds
     ]
     for name, member in step.members.items():
         late_ns = max((each.late_ns for each in member.evidence.values()), default=0)
         if late_ns:
             lines.append(
-                f"step {step.index}: {name} was started {late_ns / 1e6:.1f} ms later than its host promises; the job "
-                "allows for it"
+                f"step {step.index}: {name} was started {late_ns / 1e6:.1f} ms later than its host "
+                "guarantees; the job allows this"
             )
     for what, said in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
         if said is not None and len(step.members) > 1:
@@ -126,20 +126,20 @@ def _seconds(value: float | None) -> str:
     return "" if value is None else f"{value:.{3 if value < 10 else 2}f} s"
 
 
-def _skew(value: Skew | None) -> str:
-    """What is surely known: usually that it is below something, rarely that it is above something as well."""
+def _skew(value: SkewInterval | None) -> str:
+    """The interval that is certain: usually only an upper bound, rarely also a lower one."""
     if value is None:
         return ""
     most = f"{value.at_most_ns / 1e6:.1f} ms"
     return f"≤ {most}" if value.at_least_ns == 0 else f"{value.at_least_ns / 1e6:.1f} to {most}"
 
 
-def _budget(budget: Budget | None) -> str:
-    """The predicted skew, of what the job allows."""
+def _budget(budget: SyncBudget | None) -> str:
+    """The predicted skew, and the limit that the job allows."""
     return f"{budget.predicted_ns / 1e6:.1f} of {budget.allowed_ns / 1e6:g} ms" if budget else ""
 
 
 def _around(evidence: AxisEvidence, t0_ns: int) -> str:
-    start = evidence.judged_start
+    start = evidence.start_for_verdict
     earliest_ns, latest_ns = start.earliest_ns - t0_ns, start.latest_ns - t0_ns
     return f"{earliest_ns / 1e6:+.1f} … {latest_ns / 1e6:+.1f} ms"

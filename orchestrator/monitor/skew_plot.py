@@ -1,4 +1,4 @@
-"""How start skews are distributed, way by way, as a picture."""
+"""A plot of start skew distributions, one row per start method."""
 
 # Matplotlib types its keyword arguments only in part.
 # pyright: reportUnknownMemberType=false
@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 
 WIDTH, ROW, DPI = 9.0, 0.36, 120
 COLOUR_OLD, COLOUR_NEW = "#9aa5b1", "#c2410c"
-LEAST_MS = 0.005  # what is less stands at the edge
+LEAST_MS = 0.005  # smaller values are drawn at the edge
 
 
 def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
-    """Write a picture: a row for each way, its trials from the first to the last percentile, the median marked.
+    """Write a plot: one row per start method, its trials from the first to the last percentile, with the median
+    marked.
 
-    skews_ms: by `fleet: way`; ways that begin with `old` are drawn as baselines.
+    skews_ms: by `fleet: method`; methods that begin with `old` are drawn as baselines.
     """
     mpl.rcParams["font.size"] = 9
     figure = Figure(figsize=(WIDTH, 1.0 + ROW * len(skews_ms)), dpi=DPI, layout="constrained")
@@ -34,7 +35,7 @@ def plot_skews(skews_ms: Mapping[str, list[float]], path: Path) -> None:
         axes.annotate(words, (high, row), xytext=(7, -3), textcoords="offset points", fontsize=8)
     axes.set_yticks(range(len(skews_ms)), [*reversed(list(skews_ms))])
     axes.set_xscale("log")
-    axes.set_xlabel("start skew, ms: first to 99th percentile, the mark is the median (the old ways grey)")
+    axes.set_xlabel("start skew, ms: first to 99th percentile, the mark is the median (baseline methods grey)")
     axes.grid(axis="x", which="both", alpha=0.3)
     axes.margins(x=0.15)
     figure.savefig(path)

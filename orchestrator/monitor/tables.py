@@ -1,4 +1,4 @@
-"""Tables for a terminal: no frames, because at 80 columns every character is needed for words and figures."""
+"""Tables for a terminal: no frames, because at 80 columns every character is needed for text and figures."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from rich.table import Table
 
 
 def plain_table(columns: Sequence[str]) -> Table:
-    """A table of these columns; those whose name ends in `>` are flush right. Rows are never wrapped."""
+    """Return a table of these columns; those whose name ends in `>` are right-aligned. Rows are never wrapped."""
     table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, 2, 0, 0))
     for name in columns:
         right = name.endswith(">")

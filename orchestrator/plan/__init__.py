@@ -1,1 +1,1 @@
-"""Jobs to synchronised profiles, with Ruckig."""
+"""Planning: targets to synchronised profiles, with Ruckig."""

@@ -25,7 +25,7 @@ from ruckig import (
 MAX_DURATION_S = 7000.0
 # Ruckig's margin on its results is 1e-8 (its README); ten times that, relative to the distance, is a defect.
 TOLERANCE = 1e-7
-SECOND_ORDER = inf  # the jerk limit of a trapezoid
+SECOND_ORDER = inf  # marks a trapezoid: no jerk limit
 SEGMENTS = 7  # of every shape; a trapezoid has four empty ones
 
 _TIME: Any = Synchronization.Time  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -36,11 +36,12 @@ Array = NDArray[np.float64]
 
 
 class PlanError(Exception):
-    """A plan that can not be made. The message names the axis and the reason."""
+    """A plan that cannot be made. The message names the axis and the reason."""
 
 
 class Bounds(NamedTuple):
-    """What shapes may do, one entry an axis: distance in seconds at full speed (> 0), acceleration 1/s, jerk 1/s²."""
+    """The limits of shapes, one entry per axis: distance in seconds at full speed (> 0), acceleration 1/s, jerk
+    1/s²."""
 
     distance: Array
     acceleration: Array
@@ -48,7 +49,7 @@ class Bounds(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """One row an axis, `SEGMENTS` columns: segments of constant jerk, from rest to rest, in normalised units.
+    """One row per axis, `SEGMENTS` columns: segments of constant jerk, from rest to rest, in normalised units.
 
     accelerations: at the start of each segment.
     """
@@ -59,8 +60,8 @@ class Shapes(NamedTuple):
 
 
 def trapezoids(bounds: Bounds, ramp_s: Array, duration_s: Array | float) -> Shapes:
-    """Symmetric trapezoids in exactly `duration_s`, with ramps of `ramp_s` (at most half of it)."""
-    ramp_s = np.minimum(ramp_s, duration_s / 2)  # a rounding above it would make the cruise negative
+    """Symmetric trapezoids of exactly `duration_s`, with ramps of `ramp_s` (at most half of it)."""
+    ramp_s = np.minimum(ramp_s, duration_s / 2)  # rounding above it would make the cruise negative
     shapes = Shapes(*(np.zeros((len(ramp_s), SEGMENTS)) for _ in range(3)))
     shapes.durations_s[:, 0] = shapes.durations_s[:, 2] = ramp_s
     shapes.durations_s[:, 1] = duration_s - 2 * ramp_s
@@ -91,10 +92,10 @@ def ramp_ranges(bounds: Bounds, duration_s: float) -> tuple[Array, Array]:
 def solve(bounds: Bounds, names: Sequence[str], synchronised: bool) -> tuple[float, Shapes | None]:
     """Fastest jerk-limited shapes, all of one duration if `synchronised`: (the longest duration in s, the shapes).
 
-    Rows whose jerk limit is `SECOND_ORDER` only have their say in the duration: their shape here means nothing.
-    If the solver fails it is asked again with limits 0.1 % lower (which moves it off a knife's edge), then axis by
-    axis with the faster shapes stretched in time, which needs no solver to synchronise. No shapes are returned
-    with a duration above `MAX_DURATION_S`. Raises `PlanError` naming the axis.
+    Rows whose jerk limit is `SECOND_ORDER` only contribute to the duration: their shape here is meaningless. If the
+    solver fails it is called again with limits 0.1 % lower (to leave a singular case), then axis by axis with the
+    faster shapes stretched in time, which needs no solver to synchronise. No shapes are returned with a duration
+    above `MAX_DURATION_S`. Raises `PlanError` naming the axis.
     """
     reasons: list[str] = []
     for margin in (1.0, 0.999):
@@ -123,7 +124,7 @@ def stretched(shapes: Shapes, factor: Array | float) -> Shapes:
 
 
 def check(shapes: Shapes, bounds: Bounds, names: Sequence[str]) -> None:
-    """What a solver promises is looked at once more: the limits, the end, and no way back on the way there.
+    """Verify the solver's result: the limits, the end, and monotone motion.
 
     Raises `PlanError` naming the axis.
     """
@@ -144,7 +145,7 @@ def check(shapes: Shapes, bounds: Bounds, names: Sequence[str]) -> None:
     if wrong.any():
         k = int(np.flatnonzero(wrong)[0])
         shape = [part[k].tolist() for part in shapes]
-        raise PlanError(f"{names[k]}: the solver's motion breaks its limits or misses the target: {shape}")
+        raise PlanError(f"{names[k]}: the solver's motion exceeds its limits or misses the target: {shape}")
 
 
 def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, Shapes | None]:
@@ -157,10 +158,10 @@ def _ruckig(bounds: Bounds, synchronised: bool, margin: float) -> tuple[float, S
     question.synchronization = _TIME if synchronised else _NONE
     try:
         result = solver.calculate(question, trajectory)
-    except Exception as error:  # Ruckig names no class for an invalid question
-        raise PlanError(f"Ruckig refuses the question: {error}") from None
+    except Exception as error:  # Ruckig has no exception class of its own for invalid input
+        raise PlanError(f"Ruckig refuses the input: {error}") from None
     if result not in _SOLVED:
-        raise PlanError(f"Ruckig answers {result}")
+        raise PlanError(f"Ruckig returned {result}")
     duration_s = cast(float, trajectory.duration)
     if duration_s > MAX_DURATION_S:
         return duration_s, None
@@ -178,7 +179,7 @@ _workspaces: dict[int, tuple[Any, Any, Any]] = {}
 
 
 def workspace(n: int) -> tuple[Any, Any, Any]:
-    """Ruckig's (solver, trajectory, input) for `n` axes, made once: making them takes longer than a plan."""
+    """Ruckig's (solver, trajectory, input) for `n` axes, cached: making them takes longer than a plan."""
     if n not in _workspaces:
         question: Any = InputParameter(n)  # pyright: ignore[reportUnknownVariableType]
         zeros = [0.0] * n

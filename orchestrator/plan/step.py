@@ -29,7 +29,7 @@ Ramps = Literal["common", "own"]
 
 @dataclass(frozen=True, slots=True)
 class AxisMove:
-    """One axis's part. Counts of its controller; limits in counts/s, /s², /s³.
+    """The move of one axis. Counts of its controller; limits in counts/s, /s², /s³.
 
     order: of the profiles that its controller executes, 2 or 3. A third-order axis without a jerk limit is planned
     with trapezoids. soft_limits: (low, high) absolute counts, ends included, or None.
@@ -47,7 +47,8 @@ class AxisMove:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The profiles of a step, by axis. duration_s: of the longest. Axes that need not move have no profile."""
+    """The profiles of a step, by axis. duration_s: of the longest. Axes that need not move have no profile and are
+    in `standing`."""
 
     duration_s: float
     profiles: Mapping[str, Profile]
@@ -56,16 +57,16 @@ class Plan:
     def stretched(self, duration_s: float) -> "Plan":
         """The same paths in a longer time; limits that held still hold."""
         factor = duration_s / self.duration_s
-        return Plan(duration_s, {axis: p.stretched(factor) for axis, p in self.profiles.items()}, self.standing)
+        return Plan(duration_s, {axis: p.stretch_time(factor) for axis, p in self.profiles.items()}, self.standing)
 
 
 def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0, ramps: Ramps = "common") -> Plan:
     """Plan all moves from rest to rest. speed: fraction (0 to 1] of every velocity limit.
 
     sync `time`: one duration for all. Trapezoids share one ramp time as far as their limits allow (`ramps: common`),
-    so that an axis that has little to do gets no absurdly short ramp. `phase`: a straight line in the space of the
-    axes, planned as one degree of freedom and of one order. `none`: each axis its fastest.
-    Raises `PlanError` naming the axis.
+    so that an axis with a short distance does not get an extremely short ramp. `phase`: a straight line in the space
+    of the axes, planned as one degree of freedom and of one order. `none`: each axis takes its shortest time. Raises
+    `PlanError` naming the axis.
     """
     _check_limits(moves)
     moving = [move for move in moves if move.target_counts != move.start_counts]
@@ -94,7 +95,7 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
 
 
 def _check_limits(moves: Sequence[AxisMove]) -> None:
-    """Targets inside the soft limits: the way there is monotone, so the whole move is, once it is inside."""
+    """Check targets against the soft limits: the path is monotone, so it is inside if its ends are."""
     outside = [m for m in moves if m.soft_limits and not m.soft_limits[0] <= m.target_counts <= m.soft_limits[1]]
     for move in outside:
         low, high = move.soft_limits or (0, 0)
@@ -102,11 +103,11 @@ def _check_limits(moves: Sequence[AxisMove]) -> None:
 
 
 def _question(moving: Sequence[AxisMove], speed: float) -> tuple[Bounds, Array]:
-    """The normalised question, and the scales in counts per unit that carry the direction's sign."""
+    """The normalised problem, and the scales in counts per unit that carry the sign of the direction."""
     table = np.array([_FIELDS(move) for move in moving], dtype=np.float64)
     start, target, velocity, acceleration, jerk, order = table.T
     distance, velocity = target - start, velocity * speed
-    # No jerk limit (None became NaN), or a controller that can not keep one: a trapezoid.
+    # No jerk limit (None became NaN), or a controller that cannot execute one: a trapezoid.
     jerk = np.where(np.isnan(jerk) | (order < 3), SECOND_ORDER, jerk)
     bounds = Bounds(np.abs(distance) / velocity, acceleration / velocity, jerk / velocity)
     return bounds, np.copysign(velocity, distance)
@@ -116,7 +117,7 @@ _FIELDS = attrgetter("start_counts", "target_counts", "velocity", "acceleration"
 
 
 def _each(bounds: Bounds, names: Sequence[str], synchronised: bool, ramps: Ramps) -> tuple[float, Shapes | None]:
-    """Every axis on its own limits: one duration for all if `synchronised`, else each its fastest."""
+    """Plan every axis on its own limits: one duration for all if `synchronised`, else the shortest for each."""
     second = bounds.jerk == SECOND_ORDER
     duration_s, shapes = solve(bounds, names, synchronised)
     if shapes is None:
@@ -138,8 +139,8 @@ def _fastest(bounds: Bounds) -> Shapes:
 def _common_trapezoids(bounds: Bounds, duration_s: float, ramps: Ramps) -> Shapes:
     """Symmetric trapezoids of exactly `duration_s`.
 
-    Their common ramp is the longest of the shortest ramps that each needs; an axis whose velocity limit does not
-    allow so long a ramp takes its own longest.
+    Their common ramp is the longest of the shortest ramps of all axes; an axis whose velocity limit does not allow
+    such a long ramp takes its own longest.
     """
     shortest, longest = ramp_ranges(bounds, duration_s)
     return trapezoids(bounds, np.minimum(shortest.max(), longest) if ramps == "common" else shortest, duration_s)
@@ -153,7 +154,7 @@ def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, S
     # In units of the fraction: distance 1, velocity 1/d, acceleration a/d, jerk j/d; then normalised by velocity.
     longest = bounds.distance.max()
     acceleration = (bounds.acceleration / bounds.distance).min() * longest
-    # One order for all: a trapezoid as soon as one member can execute nothing better (its jerk limit is infinite).
+    # One order for all: a trapezoid as soon as one member cannot execute a better one (its jerk limit is infinite).
     jerk = SECOND_ORDER
     if not (bounds.jerk == SECOND_ORDER).any():
         jerk = (bounds.jerk / bounds.distance).min() * longest
@@ -166,25 +167,26 @@ def _line(bounds: Bounds, scales: Array, names: Sequence[str]) -> tuple[float, S
 
 
 class Targets:
-    """Exact targets of axes in their units, so that the remainder of a rounding is carried from move to move.
+    """Exact targets of axes in their units, so that rounding remainders are carried from move to move.
 
-    A thousand relative moves there and back end on the same count, whatever the scale.
+    A thousand relative moves back and forth end on the same count, whatever the scale.
     """
 
     def __init__(self) -> None:
         self._exact: dict[str, tuple[Fraction, int]] = {}
 
     def position(self, axis: str, counts: int, counts_per_unit: Fraction) -> Fraction:
-        """Where `axis` stands in its unit: its last exact target if `counts` is what that became, else `counts`."""
+        """The position of `axis` in its unit: its last exact target if `counts` is that target's count, else
+        `counts`."""
         exact = self._exact.get(axis)
         if exact is not None and exact[1] == counts:
             return exact[0]
         return Fraction(counts) / counts_per_unit
 
     def reached(self, axis: str, target: Fraction, counts: int) -> None:
-        """`axis` was sent to `target`, which is `counts`."""
+        """Record that `axis` was moved to `target`, which is `counts`."""
         self._exact[axis] = (target, counts)
 
     def forget(self, axis: str) -> None:
-        """`axis` moved otherwise (homed, jogged, power-cycled)."""
+        """Forget the target of an axis that moved otherwise (homed, jogged, power-cycled)."""
         self._exact.pop(axis, None)

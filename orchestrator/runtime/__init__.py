@@ -1,1 +1,1 @@
-"""Whole fleets: live on this machine or in virtual time."""
+"""Complete fleets: live on this machine or in virtual time."""

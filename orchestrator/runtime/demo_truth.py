@@ -1,4 +1,4 @@
-"""A job's verdicts against what the simulators wrote down that they did."""
+"""A check of a job's verdicts against the motions that the simulators recorded."""
 
 import json
 from pathlib import Path
@@ -9,8 +9,11 @@ from orchestrator.model.report import JobReport
 
 
 class Held(NamedTuple):
-    """A motion step: its true start skew, ns, and whether the verdict holds it; outside: whose evidence does not hold
-    their own start, and by how much."""
+    """The check of one motion step.
+
+    skew_ns: its true start skew.
+    held: the verdict is consistent with it.
+    outside: members whose evidence does not contain their own start, and by how much."""
 
     step: int
     skew_ns: int
@@ -19,7 +22,7 @@ class Held(NamedTuple):
 
 
 def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns: int) -> list[Held]:
-    """For each motion step that was done. truth: the folder of the simulators' logs, host time of this kernel."""
+    """Check each completed motion step. truth: the folder of the simulators' logs, in host time of this kernel."""
     logged = {name: _starts(truth / f"{name}.jsonl") for name in fleet.controllers}
     found: list[Held] = []
     for step in report.steps:
@@ -39,7 +42,7 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
                 true.append(start_ns)
                 early_ns, late_ns = (
                     each + origin_host_ns
-                    for each in (evidence.judged_start.earliest_ns, evidence.judged_start.latest_ns)
+                    for each in (evidence.start_for_verdict.earliest_ns, evidence.start_for_verdict.latest_ns)
                 )
                 if not early_ns <= start_ns <= late_ns:
                     off_ns = start_ns - (early_ns if start_ns < early_ns else late_ns)
@@ -51,6 +54,6 @@ def verdicts_against_truth(fleet: Fleet, report: JobReport, truth: Path, origin_
 
 
 def _starts(log: Path) -> list[tuple[str, int]]:
-    """Axis and instant of every motion that began."""
+    """Return axis and instant of the start of every motion."""
     entries = (json.loads(line) for line in log.read_text(encoding="utf-8").splitlines())
     return [(entry["axis"], entry["start_ns"]) for entry in entries if entry["event"] == "start"]

@@ -1,8 +1,9 @@
 """A fleet live on this machine: router, simulators, adapter hosts under guardians, coordinator, as child processes.
 
-A child that dies is started again with growing pauses. Children have sessions of their own, so that Ctrl-C reaches
-only this process, which ends them in order: the coordinator first, because it stops what moves. When this process is
-killed they end by themselves: the kernel tells those that know their parent, simulators see their input closed.
+A child that dies is restarted with growing pauses. Children have sessions of their own, so that Ctrl-C reaches only
+this process, which ends them in order: the coordinator first, because it stops what moves. When this process is
+killed its children end by themselves: the kernel signals those that registered their parent, simulators detect that
+their input is closed.
 """
 
 import asyncio
@@ -19,7 +20,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
-from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, by_line
+from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.runtime.bridge import bridge_baud
 from orchestrator.runtime.leader_probe import reigning
 from sim.link.arguments import NEXT
@@ -27,14 +28,14 @@ from sim.link.arguments import NEXT
 READY_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_S = 8.0
 RESTART_S = (0.2, 0.5, 1.0, 2.0, 5.0)
-# These ends are final: starting again would give the same (bad input, port or reign taken, journal of no use).
+# These exit codes are final: a restart would give the same (bad input, port or leadership taken, journal unusable).
 FINAL = frozenset({2, 4, 5})
-TAKEN = 4  # of the router: somebody else listens there
+TAKEN = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
-# Of the coordinator, once it has reigned: another does now, and the adapter hosts are at its service.
+# Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 DEPOSED = frozenset({4, 6})
 TOGETHER = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
-# What a simulator's ready line tells of its place, by the kind of the link that it stands in for.
+# What a simulator's ready line reports as its endpoint, by the kind of the simulated link.
 _FOUND = {
     "tcp": ("host", "port"),
     "udp": ("host", "port"),
@@ -46,12 +47,15 @@ Say = Callable[[str], None]
 
 
 class UpFailed(Exception):
-    """The fleet can not be brought up. Says which part, why, and what to do."""
+    """The fleet cannot be started. The text names the part, the reason, and the remedy."""
 
 
 @dataclass(slots=True)
 class Child:
-    """One process of the fleet. ready: the lines, as many as it tells, with which it says that it is."""
+    """One process of the fleet.
+
+    tells: number of lines that it prints when it is ready.
+    ready: those lines."""
 
     name: str
     command: Sequence[str]
@@ -65,27 +69,28 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Process id of the present start."""
+        """Process id of the current start."""
         return self.process.pid if self.process else 0
 
     @property
     def code(self) -> int | None:
-        """Exit code of the present start; None while it runs."""
+        """Exit code of the current start; None while it runs."""
         return self.process.returncode if self.process else None
 
     def last_word(self) -> str:
-        """The last line that it wrote to standard error; "" when it wrote none."""
+        """The last line that it wrote to standard error; "" if it wrote none."""
         said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return said[-1] if said else ""
 
 
 @dataclass(slots=True)
 class LiveFleet:
-    """Everything that `tutti up` runs. `say` gets lines for people.
+    """All processes that `tutti up` runs. `say` receives lines for people.
 
-    connect: a router that is there; without it one is started on `port`. simulated: every link is replaced by that of
-    a simulated controller. truth: simulators write what they really did to `state`/truth. standby: a second
-    coordinator takes over when the first one dies or hangs.
+    connect: an existing router; without it one is started on `port`.
+    simulated: every link is replaced by that of a simulated controller.
+    truth: simulators record their real motions in `state`/truth.
+    standby: a second coordinator takes over when the first one dies or hangs.
     """
 
     fleet: Fleet
@@ -102,7 +107,7 @@ class LiveFleet:
     _lock: TextIO | None = None
 
     async def start(self) -> None:
-        """Bring everything up, in order. Raises `UpFailed`; then nothing is left running."""
+        """Start all processes, in order. Raises `UpFailed`; then no process is left running."""
         self.failed = asyncio.get_running_loop().create_future()
         try:
             self._take_folder()
@@ -115,7 +120,7 @@ class LiveFleet:
                 await self._start_child(f"host/{host}", self._host_command(host, file))
             coordinator = await self._start_child("coordinator", self._coordinator_command(file))
             if self.standby:
-                # Whichever of the two is started again stands by behind the other one.
+                # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
                 await self._start_child(STANDBY, coordinator.command)
         except BaseException:
@@ -123,14 +128,15 @@ class LiveFleet:
             raise
 
     def tell_simulator(self, controller: str, **change: object) -> None:
-        """Change the physical world of a simulated controller, e.g. `input=(1, True)`; see `sim/link/world.py`."""
+        """Change the physical environment of a simulated controller, e.g. `input=(1, True)`; see
+        `sim/link/world.py`."""
         pipe = os.open(world_pipe(self.state, controller), os.O_WRONLY | os.O_NONBLOCK)
         with os.fdopen(pipe, "wb") as line:
             line.write(json.dumps(change).encode() + b"\n")
 
     async def close(self) -> None:
         """End all children, the coordinator first and the router last."""
-        # Both coordinators at once: the one that stands by must not take over from the other.
+        # Both coordinators at once: the standby must not take over from the other.
         both = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end(child) for child in both))
         order = ["coordinator", "host", "sim", "router"]
@@ -142,12 +148,12 @@ class LiveFleet:
     # Parts
 
     def _take_folder(self) -> None:
-        """Two fleets with one journal, or one set of simulated ports, would spoil each other."""
+        """Lock the state folder: two fleets with one journal, or one set of simulated ports, would interfere."""
         try:
             self.state.mkdir(parents=True, exist_ok=True)
             self._lock = (self.state / "lock").open("w")
         except OSError as error:
-            raise UpFailed(f"{self.state} can not be used: {error.strerror}; choose another folder: --state") from None
+            raise UpFailed(f"{self.state} cannot be used: {error.strerror}; choose another folder: --state") from None
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -170,9 +176,9 @@ class LiveFleet:
                     link = config.link.model_copy(update={field: place[field] for field in _FOUND[config.link.kind]})
                     simulate = config.simulate.model_copy(update={"link": link})
                     controllers[name] = config.model_copy(update={"simulate": simulate})
-                    self.say(f"{name}: simulated {config.adapter} on {link.place}")
+                    self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
         for each in self.fleet.connections:
-            self.tell_simulator(each.target, input=(each.feeds.number, each.level(False)))
+            self.tell_simulator(each.target, input=(each.feeds.number, each.input_level(False)))
         self.fleet = self.fleet.model_copy(
             update={"controllers": {name: controllers[name] for name in self.fleet.controllers}}
         )
@@ -181,10 +187,11 @@ class LiveFleet:
         if self.connect:
             other = None if self.take_over else await reigning(self.connect, self.fleet.fleet)
             if other is not None:
-                # Asked before adapter hosts are started, which would be second drivers of the same controllers.
+                # Checked before adapter hosts are started, which would be second drivers of the same controllers.
                 raise UpFailed(
-                    f"coordinator {other.coordinator[:8]} reigns in fleet {self.fleet.fleet} (epoch {other.epoch}) "
-                    f"on {self.connect}; end its `tutti up` first, or start with --take-over"
+                    f"coordinator {other.coordinator[:8]} leads fleet {self.fleet.fleet} (epoch "
+                    f"{other.epoch}) on {self.connect}; end its `tutti up` first, or start with "
+                    "--take-over"
                 )
             return
         endpoint = f"tcp/127.0.0.1:{self.port}"
@@ -202,12 +209,12 @@ class LiveFleet:
         self.say(f"router on {endpoint}")
 
     def _simulator_arguments(self, names: Sequence[str]) -> list[str]:
-        """For the controllers of one line."""
+        """Return the arguments of a simulator for the controllers of one link."""
         name, config = "+".join(names), self.fleet.controllers[names[0]]
         if isinstance(config.link, CanBusLink):
             listen = ["--listen", f"pty:{self.state / 'ports' / name}"]
         elif isinstance(config.link, SerialLink):
-            # What was listened on before is listened on again after a restart: the symlink is stable.
+            # A restart listens at the same endpoint again: the symlink is stable.
             listen = ["--listen", f"pty:{self.state / 'ports' / name}", "--baud", str(config.link.baud)]
             listen += ["--frame", frame(config.link)]
         else:
@@ -218,12 +225,12 @@ class LiveFleet:
         return arguments
 
     def _simulated_unit(self, name: str) -> dict[str, object]:
-        """What `--unit` says of a controller."""
+        """Return the value of `--unit` for a controller."""
         config = self.fleet.controllers[name]
         link, simulate = config.link, config.simulate
         return {
             "name": name,
-            "address": link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+            "address": link.address if isinstance(link, SerialLink | CanBusLink) else None,
             "options": {"bitrate": link.bitrate, **simulate.options}
             if isinstance(link, CanBusLink)
             else simulate.options,
@@ -240,7 +247,7 @@ class LiveFleet:
                     "output": each.driven_by.number,
                     "world": str(world_pipe(self.state, each.target)),
                     "input": each.feeds.number,
-                    "level_when_on": each.level(True),
+                    "level_when_on": each.input_level(True),
                     "delay_us": sum(each.delay_us) // 2,
                 }
                 for each in self.fleet.connections
@@ -269,7 +276,7 @@ class LiveFleet:
         return child
 
     async def _spawn(self, child: Child) -> None:
-        """Start the process and wait for its first lines. Raises `UpFailed` with what it said."""
+        """Start the process and wait for its ready lines. Raises `UpFailed` with its output."""
         child.log.parent.mkdir(parents=True, exist_ok=True)
         with child.log.open("ab") as errors:
             child.process = await asyncio.create_subprocess_exec(
@@ -292,20 +299,23 @@ class LiveFleet:
         child.ready = [line.decode().strip() for line in lines]
 
     async def _keep(self, child: Child) -> None:
-        """Start a dead child again, unless it ended for good."""
+        """Restart a child that died, unless its exit code is final."""
         while True:
             assert child.process is not None
             code = await child.process.wait()
             if child.ended:
                 return
             if child.name == "coordinator" and code in DEPOSED and not self.standby:
-                self.say(f"{child.name} is deposed, another coordinator reigns; the adapter hosts here serve that one")
+                self.say(
+                    f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
+                    "serve that one"
+                )
                 return
             if code in FINAL:
                 self._fail(f"{child.name} ended: {child.last_word() or f'exit code {code}'}")
                 return
             pause_s = RESTART_S[min(child.starts, len(RESTART_S)) - 1]
-            self.say(f"{child.name} ended ({_how(code)}); starting it again in {pause_s:g} s")
+            self.say(f"{child.name} ended ({_how(code)}); restarting it in {pause_s:g} s")
             await asyncio.sleep(pause_s)
             if child.ended:
                 return
@@ -340,10 +350,12 @@ class LiveFleet:
 
 
 def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
-    """The lines of which a process each simulates the controllers. Those of one make on Ethernet share some: a process
-    that was asleep is woken for each exchange, finds the caches filled by others, and takes several times as long."""
+    """Group the links whose controllers one process simulates.
+
+    Controllers of one make on Ethernet share processes: a process that was asleep is woken for each exchange, finds
+    its caches overwritten, and takes several times as long."""
     ethernet: dict[str, list[list[str]]] = {}
-    for names in by_line(fleet):
+    for names in group_by_link(fleet):
         config = fleet.controllers[names[0]]
         if isinstance(config.link, SerialLink | CanBusLink):
             yield [names]
@@ -355,17 +367,17 @@ def _together(fleet: Fleet) -> Iterator[list[list[str]]]:
 
 
 def world_pipe(state: Path, controller: str) -> Path:
-    """Where lines that change the physical world of a simulated controller are written to."""
+    """Return the pipe for lines that change the physical environment of a simulated controller."""
     return state / "world" / controller
 
 
 def frame(link: SerialLink) -> str:
-    """Data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
+    """Return data bits, parity and stop bits in the usual short form, e.g. `8N1`."""
     return f"{link.data_bits}{link.parity[0].upper()}{link.stop_bits}"
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on."""
+    """Return a TCP port that is not in use."""
     with closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

@@ -1,7 +1,8 @@
-"""A process on a terminal of its own, for tests and measurements: keys go in, what it shows can be read.
+"""A process on a terminal of its own, for tests and measurements: it accepts key presses, and its screen can be
+read.
 
-The terminal answers what a real one does: with `releases` it speaks the kitty keyboard protocol, so that a held key
-is reported when it is let go; without, it is a plain one, whose held keys only repeat.
+The terminal answers like a real one: with `releases` it supports the kitty keyboard protocol, which reports the
+release of a held key; without, it is a plain one, where a held key only repeats.
 """
 
 import fcntl
@@ -18,14 +19,14 @@ from collections.abc import Mapping, Sequence
 from orchestrator.clock.live import raw_ns
 
 END_S = 10.0
-# The child takes the terminal as its own, so that it is told when the terminal is gone.
+# The child makes the terminal its controlling terminal, so that it gets SIGHUP when the terminal closes.
 _OWN = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
 _ESCAPE = re.compile(r"\x1b\[[0-9;:<=>?]*[ -/]*[@-~]")
 _FRAME = "\x1b[H"
 _QUESTION = re.compile(r"\x1b\[(?P<ask>\?u)|\x1b\[(?P<device>c)|\x1b\[>(?P<push>\d+)u|\x1b\[(?P<pop><u)")
 _LONGEST_QUESTION = 8
-KEPT = 65536  # characters of what it has shown; a picture has two thousand
-LOOK_S = 0.02  # a read that waits would keep the terminal from being unplugged
+KEPT = 65536  # characters of its output that are kept; one screen has two thousand
+LOOK_S = 0.02  # a blocking read would prevent closing the terminal
 ARROWS = {"up": "A", "down": "B", "right": "C", "left": "D"}
 
 
@@ -67,34 +68,35 @@ class TerminalProcess:
     # Keys
 
     def write(self, text: str) -> int:
-        """Type bytes; host time (ns) just before."""
+        """Type bytes; return the host time (ns) just before."""
         at_ns = raw_ns()
         os.write(self._master, text.encode())
         return at_ns
 
     def press(self, arrow: str) -> int:
-        """An arrow key goes down; a plain terminal says the same for each repeat. Host time (ns) just before."""
+        """Press an arrow key; a plain terminal sends the same for each repeat. Return the host time (ns) just
+        before."""
         return self.write(f"\x1b[{ARROWS[arrow]}")
 
     def repeat(self, arrow: str) -> int:
-        """A held arrow key repeats."""
+        """Repeat a held arrow key."""
         return self.write(f"\x1b[1;1:2{ARROWS[arrow]}" if self.releases else f"\x1b[{ARROWS[arrow]}")
 
     def release(self, arrow: str) -> int:
-        """An arrow key is let go; only with `releases`."""
+        """Release an arrow key; only with `releases`."""
         return self.write(f"\x1b[1;1:3{ARROWS[arrow]}")
 
-    # What it shows
+    # Output
 
     @property
     def said(self) -> str:
-        """What it has written last, with all that is for the terminal."""
+        """The last output, with all control sequences."""
         with self._seen:
             return self._said
 
     @property
     def screen(self) -> str:
-        """The last whole picture as text."""
+        """The last complete screen as text."""
         frames = self.said.split(_FRAME)
         return _ESCAPE.sub("", frames[-2] if len(frames) > 2 else "")
 
@@ -104,31 +106,31 @@ class TerminalProcess:
         return self._keyboards[-1]
 
     def mode(self) -> "list[int | list[bytes | int]]":
-        """How the terminal is set now; `before`: as it was when the process was started."""
+        """Current mode of the terminal; `before`: its mode when the process was started."""
         return termios.tcgetattr(self._master)
 
-    # The end
+    # End
 
     def hang_up(self) -> None:
-        """Pull the plug of the terminal."""
+        """Disconnect the terminal."""
         if not self._unplugged.is_set():
             self._unplugged.set()
             self._reader.join()
             os.close(self._master)
 
     def wait(self, timeout_s: float = END_S) -> int:
-        """Its exit code, when it has ended by itself. Raises `subprocess.TimeoutExpired`."""
+        """Wait for the process to end by itself, and return its exit code. Raises `subprocess.TimeoutExpired`."""
         return self.process.wait(timeout_s)
 
     def kill(self) -> int:
-        """`kill -9`; host time (ns) just before."""
+        """Send `kill -9`; return the host time (ns) just before."""
         at_ns = raw_ns()
         self.process.kill()
         self.process.wait()
         return at_ns
 
     def close(self) -> None:
-        """End it, and the terminal."""
+        """End the process, and close the terminal."""
         if self.process.poll() is None:
             self.process.terminate()
             try:
@@ -138,14 +140,14 @@ class TerminalProcess:
         self.hang_up()
 
     def _read(self) -> None:
-        """Take what it writes, and answer its questions."""
+        """Read its output, and answer its terminal queries."""
         while not self._unplugged.is_set():
             if not select.select([self._master], [], [], LOOK_S)[0]:
                 continue
             try:
                 data = os.read(self._master, KEPT)
             except OSError:
-                # Nobody has the other side open any more.
+                # The other side of the terminal is closed.
                 return
             with self._seen:
                 self._said += data.decode("utf-8", "replace")
@@ -154,7 +156,7 @@ class TerminalProcess:
                 self._said, self._heard = self._said[cut:], max(0, self._heard - cut)
 
     def _hear(self) -> None:
-        """Do what a terminal does with the questions that have not been answered yet."""
+        """Answer the terminal queries that are still open, as a terminal does."""
         while question := _QUESTION.search(self._said, self._heard):
             self._heard = question.end()
             if question["device"]:

@@ -1,6 +1,6 @@
-"""A whole fleet in virtual time: simulators, wires, adapter hosts with a guardian, coordinators, one bus.
+"""A complete fleet in virtual time: simulators, connections, adapter hosts with a guardian, coordinators, one bus.
 
-Each part is a process of its own (`Process`), so that it can be frozen and killed like one.
+Each part is a `Process` of its own, so that it can be frozen and killed separately.
 """
 
 import asyncio
@@ -10,48 +10,49 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, TypeVar
 
-from adapters.controller.store import MemoryStore
-from adapters.host.host import AdapterHost, Surroundings, stops_by_line
-from adapters.toolkit.firing import LoopFirer
+from adapters.controller.store import VolatileStore
+from adapters.host.host import AdapterHost, HostEnvironment, stops_by_line
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
 from orchestrator.bus.memory.medium import Latency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.clock.executor import inline
+from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import Process, VirtualClock
-from orchestrator.coordinator.coordinator import Coordinator, Court
+from orchestrator.coordinator.coordinator import Coordinator, CoordinatorEnvironment
 from orchestrator.coordinator.journal.journal import Journal, JournalError
-from orchestrator.coordinator.leadership.leadership import AnotherReigns
-from orchestrator.coordinator.leadership.standby import vacancy
+from orchestrator.coordinator.leadership.leadership import AnotherLeader
+from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
-from orchestrator.model.fleet import CanBusLink, Connection, Controller, Fleet, SerialLink, by_line
+from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.bridge import network
-from sim.core.controller import Branch, Port, SimulatedController, Timing, build_line
+from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
-# What the bus takes live, through a router on one machine (measured: 0.3 ms a sample, 0.8 ms a request).
+# Latency of the live bus, through a router on one machine (measured: 0.3 ms a sample, 0.8 ms a request).
 BUS_LATENCY = Latency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, most_ns=600 * NS_PER_US)
-HUNG_NS = 300 * NS_PER_MS  # a guardian's patience
+HUNG_NS = 300 * NS_PER_MS  # timeout of a guardian
 RESTART_NS = 200 * NS_PER_MS
-WAKE_NS = 60 * NS_PER_US  # the firing process wakes up to so late
+WAKE_NS = 60 * NS_PER_US  # largest wake-up delay of the firing process
 JOURNAL_READS = frozenset(
-    (
-        "decisions",
-        "find",
-        "job",
-        "knows",
-        "recording",
-        "report",
-        "require_reign",
-        "reserved",
-        "row",
-        "transitions",
-        "unended",
+    each.__name__
+    for each in (
+        Journal.list_decisions,
+        Journal.find_jobs,
+        Journal.load_job,
+        Journal.has_client_key,
+        Journal.load_recording,
+        Journal.load_report,
+        Journal.require_latest_epoch,
+        Journal.list_reservations,
+        Journal.load_record,
+        Journal.list_transitions,
+        Journal.list_unfinished,
     )
 )
 
@@ -68,10 +69,10 @@ class _Host:
 
 
 class VirtualFleet:
-    """`fleet` simulated as a whole; everything random in it comes from `seed`. Make it outside every process.
+    """A simulation of the whole `fleet`; all randomness comes from `seed`. Create it outside every process.
 
-    wired: how the world is really wired, where that is not as the fleet file says. beside: puts somebody who listens
-    between a coordinator and the bus.
+    wired: the real wiring, where it differs from the fleet file.
+    beside: wraps the bus of a coordinator, e.g. to observe it.
     """
 
     def __init__(
@@ -99,17 +100,17 @@ class VirtualFleet:
         self._guardian = guardian
         self._beside = beside
         self._draw = Random(seed)
-        self._stores: dict[str, MemoryStore] = {}
+        self._stores: dict[str, VolatileStore] = {}
         self._starts = 0
-        for names in by_line(fleet):
+        for names in group_by_link(fleet):
             self._simulate(names)
         for connection in (wired or fleet).connections:
             self._connect(connection)
 
-    # The fleet's life
+    # Start, wait, client
 
     async def start(self) -> None:
-        """Start all adapter hosts and one coordinator; returns when every controller is adopted and idle."""
+        """Start all adapter hosts and one coordinator; return when every controller is adopted and idle."""
         for host in dict.fromkeys(config.host for config in self.fleet.controllers.values()):
             self.start_host(host)
         self.start_coordinator("first")
@@ -118,7 +119,8 @@ class VirtualFleet:
     async def until(
         self, holds: Callable[[dict[str, ControllerState]], bool], limit_s: float = 60.0
     ) -> dict[str, ControllerState]:
-        """Wait until `holds` is true of the states of all controllers. Raises `TimeoutError` with what they are."""
+        """Wait until `holds` is true of the states of all controllers. Raises `TimeoutError` with the current
+        states."""
         client = self.client("until")
         states: dict[str, ControllerState] = {}
         try:
@@ -135,7 +137,7 @@ class VirtualFleet:
             await client.close()
 
     def client(self, name: str = "client") -> Tutti:
-        """A client of the fleet, with a place of its own on the bus."""
+        """Return a client of the fleet, with a bus session of its own."""
         return Tutti(self.net.join(self._fresh(name)), self.fleet.fleet, name, self.new_id)
 
     def new_id(self) -> str:
@@ -144,43 +146,43 @@ class VirtualFleet:
     # Simulated controllers
 
     def _simulate(self, names: Sequence[str]) -> None:
-        """The controllers of one line: one process, one wire."""
+        """Simulate the controllers of one link: one process, one connection."""
         config = self.fleet.controllers[names[0]]
         process = Process(self.clock.loop, f"sim/{'+'.join(names)}")
         units = {name: self._branch(self.fleet.controllers[name]) for name in names}
-        line = process.run(lambda: build_line(simulator(config.adapter), self.clock, units))
+        line = process.run(lambda: build_line(find_simulator(config.adapter), self.clock, units))
         link = config.link
         wire = MemoryWire(
             clock=self.clock,
-            model=_wire(config, line.far),
-            far=line.far,
-            port=link.kind if link.kind in line.far.ports else line.far.ports[0],
-            place=link.place,
+            model=_wire(config, line.endpoint),
+            far=line.endpoint,
+            port=link.kind if link.kind in line.endpoint.port_names else line.endpoint.port_names[0],
+            place=link.endpoint,
             far_context=process.run(copy_context),
             seed=units[names[0]].seed,
         )
         for name in names:
-            self.simulators[name], self.controllers[name], self.wires[name] = process, line.units[name], wire
+            self.simulators[name], self.controllers[name], self.wires[name] = process, line.devices[name], wire
             self.crystals[name] = units[name].oscillator
 
-    def _branch(self, config: Controller) -> Branch:
+    def _branch(self, config: Controller) -> DeviceSpec:
         link, simulate, seed = config.link, config.simulate, self._draw.getrandbits(32)
-        return Branch(
-            address=link.unit if isinstance(link, SerialLink | CanBusLink) else None,
+        return DeviceSpec(
+            address=link.address if isinstance(link, SerialLink | CanBusLink) else None,
             options={"bitrate": link.bitrate, **simulate.options} if isinstance(link, CanBusLink) else simulate.options,
             oscillator=Oscillator(round(simulate.offset_s * NS_PER_S), simulate.drift_ppm, simulate.wander_ppm, seed),
-            timing=Timing(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
+            timing=FirmwareTiming(simulate.decode_us * NS_PER_US, simulate.spread_us * NS_PER_US),
             seed=seed,
         )
 
-    def _connect(self, connection: Connection) -> None:
-        """Have an input follow an output, some time later; the delay of each wire is its own, within its bounds."""
+    def _connect(self, connection: WireConnection) -> None:
+        """Make an input follow an output after a delay; the delay of each wire is fixed, and lies within its bounds."""
         least_ns, most_ns = (each * NS_PER_US for each in connection.delay_us)
         delay_ns = self._draw.randint(least_ns, most_ns)
         source, number = self.controllers[connection.source], connection.driven_by.number
 
         def feed(on: bool) -> None:
-            level = connection.level(on)
+            level = connection.input_level(on)
             self.within(connection.target, lambda unit: unit.set_input(connection.feeds.number, level))
 
         def changed(output: int, on: bool) -> None:
@@ -189,16 +191,16 @@ class VirtualFleet:
                 self.clock.call_at_ns(self.clock.now_ns() + delay_ns, lambda: feed(on), context=Context())
 
         self.within(connection.source, lambda unit: unit.on_output(changed))
-        feed(source.output(number))
+        feed(source.output_level(number))
 
     def within(self, controller: str, action: Callable[[SimulatedController], None]) -> None:
-        """Do something to a simulated controller's physical world, as a part of its own process."""
+        """Act on the physical environment of a simulated controller, inside its own process."""
         self.simulators[controller].run(lambda: action(self.controllers[controller]))
 
     # Adapter hosts
 
     def start_host(self, name: str) -> None:
-        """Start (again) the adapter host `name`; with a guardian, it is watched from now on."""
+        """Start (or restart) the adapter host `name`; with a guardian, it is supervised from now on."""
         label = self._fresh(f"host-{name}")
         process = Process(self.clock.loop, label)
         host = self.hosts[name] = _Host(name, process)
@@ -213,34 +215,34 @@ class VirtualFleet:
             return opened
 
         draw = Random(self._draw.getrandbits(32))
-        around = Surroundings(
+        environment = HostEnvironment(
             bus=bus,
             keys=self.keys,
             clock=self.clock,
-            firer=LoopFirer(self.clock, lambda: draw.randrange(WAKE_NS)),
+            timed_writer=LoopTimedWriter(self.clock, lambda: draw.randrange(WAKE_NS)),
             open_link=open_link,
-            store=lambda controller: self._stores.setdefault(controller, MemoryStore()),
-            runs=inline,
+            store=lambda controller: self._stores.setdefault(controller, VolatileStore()),
+            runs=run_inline,
             sink=self.lines.append,
             instance=label,
         )
         process.on_death(lambda: self._reap(host, label))
 
         async def run() -> None:
-            await AdapterHost(name, self.fleet, around).start()
+            await AdapterHost(name, self.fleet, environment).start()
 
         process.start(run())
         if self._guardian:
             self._kernel(self._guard(host))
 
     def _reap(self, host: _Host, label: str) -> None:
-        """What the kernel does for a dead host."""
+        """Clean up after a dead host, as the kernel does."""
         self.net.kill(label)
         for link in host.links:
             link.hang_up()
 
     async def _guard(self, host: _Host) -> None:
-        """The guardian: a dead or hung host is ended, its controllers are stopped, and it is started again."""
+        """The guardian: end a dead or hung host, stop its controllers, and restart it."""
         while host.process.alive and not host.process.frozen:
             await sleep_ns(self.clock, 50 * NS_PER_MS)
         await sleep_ns(self.clock, HUNG_NS)
@@ -255,7 +257,7 @@ class VirtualFleet:
         self.start_host(host.name)
 
     async def _stop_by_hand(self, name: str, stop: bytes) -> None:
-        """Stop everything that is on the line of a controller."""
+        """Stop everything on a controller's link."""
         try:
             link = await self.wires[name].open()
         except LinkRefused:
@@ -267,8 +269,9 @@ class VirtualFleet:
     # Coordinators
 
     def start_coordinator(self, name: str, take_over: bool = False, standby: bool = False) -> Process:
-        """Start a coordinator on the fleet's journal. What it raises at its start stands in `lines`. standby: it reigns
-        as soon as nobody else does, and ends who did."""
+        """Start a coordinator on the fleet's journal; an error at its start is appended to `lines`.
+
+        standby: it leads as soon as no other coordinator does, and ends the previous one."""
         label = self._fresh(f"coordinator-{name}")
         process = Process(self.clock.loop, label)
         bus = self.net.join(label)
@@ -279,43 +282,43 @@ class VirtualFleet:
         async def run() -> None:
             try:
                 if standby:
-                    await vacancy(bus, self.keys, self.clock)
+                    await wait_for_vacancy(bus, self.keys, self.clock)
                     for other, (silent, _) in self.coordinators.items():
                         if other != name and silent.alive:
                             silent.kill()
-                await coordinator.start(take_over, vacant=standby)
-            except AnotherReigns as error:
+                await coordinator.start(take_over=take_over, vacant=standby)
+            except AnotherLeader as error:
                 self.lines.append(str(error))
 
         process.start(run())
         return process
 
-    def _court(self, bus: MemoryBus) -> Court:
-        return Court(
+    def _court(self, bus: MemoryBus) -> CoordinatorEnvironment:
+        return CoordinatorEnvironment(
             bus=self._beside(bus),
             keys=self.keys,
             clock=self.clock,
             journal=self.journal,
-            runs=self._runs,
+            execute=self._runs,
             new_id=self.new_id,
             sink=self.lines.append,
             save_fleet=self._take_fleet,
         )
 
     async def _runs(self, function: Callable[..., T], *values: Any) -> T:
-        """The journal's calls; those that change it fail while its disk is full."""
+        """Run a call of the journal; calls that write fail while its disk is full."""
         if self.disk_full and function.__name__ not in JOURNAL_READS:
-            raise JournalError("the journal can not be used (database or disk is full)", "make room on its disk")
-        return await inline(function, *values)
+            raise JournalError("the journal cannot be used (database or disk is full)", "free space on its disk")
+        return await run_inline(function, *values)
 
     def _take_fleet(self, fleet: Fleet) -> None:
-        """The fleet file that hosts and coordinators which start from now on are given."""
+        """Set the fleet file for hosts and coordinators that start from now on."""
         self.fleet = fleet
 
     # Processes by name, for faults
 
     def process(self, name: str) -> Process:
-        """`host/NAME`, `coordinator/NAME` or `sim/NAME`, as it runs now."""
+        """Return the process `host/NAME`, `coordinator/NAME` or `sim/NAME` that runs now."""
         kind, _, rest = name.partition("/")
         if kind == "host":
             return self.hosts[rest].process
@@ -349,8 +352,8 @@ class VirtualFleet:
         Context().run(self.clock.loop.create_task, coroutine)
 
 
-def _wire(config: Controller, far: Port) -> WireModel:
-    """The wire from an adapter host to what a controller is on."""
+def _wire(config: Controller, far: LineEndpoint) -> WireModel:
+    """Return the connection from an adapter host to the device or bus of a controller."""
     hold_ns = round(config.simulate.hold_ms * NS_PER_MS)
     if isinstance(config.link, SerialLink):
         return serial_wire(config.link.baud, hold_ns=hold_ns)

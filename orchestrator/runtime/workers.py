@@ -1,4 +1,4 @@
-"""Work spread over processes, for seeds and worlds that know nothing of each other."""
+"""Work spread over processes, for seeds and environments that are independent of each other."""
 
 import os
 import signal
@@ -14,14 +14,14 @@ Result = TypeVar("Result")
 
 
 def spread(work: Callable[[Item], Result], items: Iterable[Item], processes: int = 1) -> Iterator[Result]:
-    """What `work` makes of each item, in the order of the items, whatever the number of processes.
+    """Apply `work` to each item and yield the results in the order of the items, whatever the number of processes.
 
     With more than one process, `work` is a function of a module, and items and results can be pickled.
     """
     if processes == 1:
         yield from map(work, items)
         return
-    # A new interpreter each: what the parent has open or started is not theirs.
+    # Start a new interpreter for each worker: it must not inherit open files or threads of the parent.
     pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
     try:
         yield from pool.map(work, items)
@@ -30,6 +30,6 @@ def spread(work: Callable[[Item], Result], items: Iterable[Item], processes: int
 
 
 def _begin(parent_pid: int) -> None:
-    """A worker ends with its parent, and by Ctrl-C without a word."""
+    """Prepare a worker: it ends with its parent, and silently on Ctrl-C."""
     die_with_parent(parent_pid)
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -3,38 +3,38 @@
 from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.cia402.unit import DriveUnit, build_bus, build_drive
-from sim.core.controller import Branch, Timing, VectorBench
+from sim.cia402.unit import SimulatedDrive, build_bus, build_drive
+from sim.core.controller import DeviceSpec, FirmwareTiming, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.link.can_card import CanSegment
 
 
-class Cia402:
-    """The model as the group `tutti.simulators` names it."""
+class Cia402Simulator:
+    """The model as the group `tutti.simulators` refers to it."""
 
     @property
     def model(self) -> str:
         return "cia402"
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
-    ) -> DriveUnit:
-        """A powered-up drive on a bus of its own; `ValueError` for a wrong option."""
+    ) -> SimulatedDrive:
+        """Build a powered-up drive on a bus of its own; `ValueError` for a wrong option."""
         return build_drive(clock, options, oscillator, timing, seed)
 
-    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[CanSegment, Sequence[DriveUnit]]:
-        """Drives on one bus, each a node; `ValueError` for a wrong option."""
-        return build_bus(clock, units)
+    def build_shared(self, clock: Clock, devices: Sequence[DeviceSpec]) -> tuple[CanSegment, Sequence[SimulatedDrive]]:
+        """Build drives on one bus, each a node; `ValueError` for a wrong option."""
+        return build_bus(clock, devices)
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> VectorBench:
-        """Vectors are lines of text; frames are not."""
-        raise ValueError("the model cia402 has no test vectors: it speaks frames, not lines")
+        """Raise `ValueError`: vectors are lines of text, and this drive exchanges frames."""
+        raise ValueError("the model cia402 has no test vectors: it exchanges frames, not lines")
 
 
-CIA402 = Cia402()
+CIA402 = Cia402Simulator()

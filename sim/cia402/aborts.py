@@ -1,8 +1,8 @@
 """SDO abort codes (CiA 301, table 22)."""
 
 
-class Abort(Exception):
-    """The drive refuses an access; the code goes to the client."""
+class SdoAbort(Exception):
+    """The drive refuses an access; the code is sent to the client."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort {code:#010x}")
@@ -32,4 +32,4 @@ TOO_HIGH = 0x0609_0031
 TOO_LOW = 0x0609_0032
 NOT_STORED = 0x0800_0020
 DEVICE_STATE = 0x0800_0022
-"""The value can not be taken in the present state of the drive."""
+"""The value cannot be accepted in the present state of the drive."""

@@ -1,4 +1,4 @@
-"""The object dictionary of one drive: what its EDS file says, and the values that it has now."""
+"""The object dictionary of one drive: the content of its EDS file, and the present values."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from canopen import ObjectDictionary, import_od
 from canopen.objectdictionary import ODVariable, datatypes
 
 from sim.cia402 import aborts
-from sim.cia402.aborts import Abort
+from sim.cia402.aborts import SdoAbort
 
 EDS = Path(__file__).with_name("drive.eds")
 
@@ -27,8 +27,10 @@ _SIZES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One variable as the EDS file describes it. size: bytes; 0 for a text, whose `default` it is."""
+class ObjectEntry:
+    """One variable as the EDS file describes it.
+
+    size: bytes; 0 for a text, whose `default` it is."""
 
     size: int
     signed: bool
@@ -39,30 +41,30 @@ class Entry:
     low: int | None
     high: int | None
 
-    def encode(self, value: int) -> bytes:
+    def encode_value(self, value: int) -> bytes:
         return value.to_bytes(self.size, "little", signed=self.signed)
 
-    def decode(self, data: bytes) -> int:
+    def decode_value(self, data: bytes) -> int:
         return int.from_bytes(data, "little", signed=self.signed)
 
 
 @lru_cache(maxsize=128)
-def _entries(node: int) -> Mapping[Key, Entry]:
+def _read_entries(node: int) -> Mapping[Key, ObjectEntry]:
     dictionary: ObjectDictionary = import_od(str(EDS), node)
-    found: dict[Key, Entry] = {}
+    found: dict[Key, ObjectEntry] = {}
     for index in cast(Iterable[int], dictionary):
         thing = dictionary[index]
         variables = [thing] if isinstance(thing, ODVariable) else cast(Iterable[ODVariable], thing.values())
         for variable in variables:
-            found[index, variable.subindex] = _entry(variable)
+            found[index, variable.subindex] = _build_entry(variable)
     return found
 
 
-def _entry(variable: ODVariable) -> Entry:
+def _build_entry(variable: ODVariable) -> ObjectEntry:
     size, signed = _SIZES.get(variable.data_type or 0, (0, False))
     access = variable.access_type
     default = variable.default
-    return Entry(
+    return ObjectEntry(
         size=size,
         signed=signed,
         readable=access != "wo",
@@ -74,70 +76,73 @@ def _entry(variable: ODVariable) -> Entry:
     )
 
 
-class Dictionary:
-    """The objects of one drive. without: indices that clients do not find; its firmware has their defaults.
+class DriveDictionary:
+    """The objects of one drive.
 
-    reads: where values come from that are not stored. writes: called with a value before it is stored; raises `Abort`
-    for one that can not be taken.
+    without: indices that are hidden from clients; the firmware uses their defaults.
+    reads: sources of values that are not stored.
+    writes: called with a value before it is stored; raises `SdoAbort` for a value that cannot be accepted.
     """
 
     def __init__(self, node: int, without: frozenset[int] = frozenset()) -> None:
-        self.entries = {key: entry for key, entry in _entries(node).items() if key[0] not in without}
+        self.entries = {key: entry for key, entry in _read_entries(node).items() if key[0] not in without}
         self.reads: dict[Key, Callable[[], int]] = {}
         self.writes: dict[Key, Callable[[int], None]] = {}
-        self._defaults = {key: each.default for key, each in _entries(node).items() if isinstance(each.default, int)}
+        self._defaults = {
+            key: each.default for key, each in _read_entries(node).items() if isinstance(each.default, int)
+        }
         self._indices = {index for index, _ in self.entries}
         self._values: dict[Key, int] = {}
-        self.reset({})
+        self.reset_values({})
 
-    def reset(self, kept: Mapping[Key, int]) -> None:
-        """Values as after power-up: the defaults, but for those that are `kept` in the permanent memory."""
+    def reset_values(self, kept: Mapping[Key, int]) -> None:
+        """Set the values after power-up: the defaults, except those `kept` in the permanent memory."""
         self._values = {**self._defaults, **kept}
 
-    def writable(self) -> dict[Key, int]:
-        """The values that a client can have changed: what a permanent memory keeps."""
+    def writable_values(self) -> dict[Key, int]:
+        """Return the values that a client can change: the content of a permanent memory."""
         return {key: value for key, value in self._values.items() if key in self.entries and self.entries[key].writable}
 
-    def get(self, index: int, sub: int = 0) -> int:
+    def get_value(self, index: int, sub: int = 0) -> int:
         read = self.reads.get((index, sub))
         return self._values[index, sub] if read is None else read()
 
-    def put(self, index: int, sub: int, value: int) -> None:
-        """Store without asking."""
+    def put_value(self, index: int, sub: int, value: int) -> None:
+        """Store without checks."""
         self._values[index, sub] = value
 
-    def entry(self, index: int, sub: int) -> Entry:
-        """Raises `Abort`."""
+    def find_entry(self, index: int, sub: int) -> ObjectEntry:
+        """Return the description of an object. Raises `SdoAbort`."""
         if index not in self._indices:
-            raise Abort(aborts.NO_OBJECT)
+            raise SdoAbort(aborts.NO_OBJECT)
         found = self.entries.get((index, sub))
         if found is None:
-            raise Abort(aborts.NO_SUBINDEX)
+            raise SdoAbort(aborts.NO_SUBINDEX)
         return found
 
-    def upload(self, index: int, sub: int) -> bytes:
-        """The value as it goes to a client. Raises `Abort`."""
-        entry = self.entry(index, sub)
+    def upload_value(self, index: int, sub: int) -> bytes:
+        """Return the encoded value for a client. Raises `SdoAbort`."""
+        entry = self.find_entry(index, sub)
         if not entry.readable:
-            raise Abort(aborts.WRITE_ONLY)
-        return entry.default if isinstance(entry.default, bytes) else entry.encode(self.get(index, sub))
+            raise SdoAbort(aborts.WRITE_ONLY)
+        return entry.default if isinstance(entry.default, bytes) else entry.encode_value(self.get_value(index, sub))
 
-    def download(self, index: int, sub: int, data: bytes) -> None:
-        """Take a value from a client. Raises `Abort`."""
-        entry = self.entry(index, sub)
+    def download_value(self, index: int, sub: int, data: bytes) -> None:
+        """Accept an encoded value from a client. Raises `SdoAbort`."""
+        entry = self.find_entry(index, sub)
         if not entry.writable:
-            raise Abort(aborts.READ_ONLY)
+            raise SdoAbort(aborts.READ_ONLY)
         if len(data) != entry.size:
-            raise Abort(aborts.TOO_LONG if len(data) > entry.size else aborts.TOO_SHORT)
-        self.take(index, sub, entry.decode(data))
+            raise SdoAbort(aborts.TOO_LONG if len(data) > entry.size else aborts.TOO_SHORT)
+        self.accept_value(index, sub, entry.decode_value(data))
 
-    def take(self, index: int, sub: int, value: int) -> None:
-        """Check, act and store. Raises `Abort`."""
+    def accept_value(self, index: int, sub: int, value: int) -> None:
+        """Check a value, apply it and store it. Raises `SdoAbort`."""
         entry = self.entries[index, sub]
         if entry.high is not None and value > entry.high:
-            raise Abort(aborts.TOO_HIGH)
+            raise SdoAbort(aborts.TOO_HIGH)
         if entry.low is not None and value < entry.low:
-            raise Abort(aborts.TOO_LOW)
+            raise SdoAbort(aborts.TOO_LOW)
         write = self.writes.get((index, sub))
         if write is not None:
             write(value)

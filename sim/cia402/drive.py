@@ -1,10 +1,10 @@
-"""The drive behind its object dictionary: power states, modes, halt, faults (CiA 402-2)."""
+"""The drive below its object dictionary: power states, modes, halt, faults (CiA 402-2)."""
 
 from collections.abc import Callable
 
 from sim.cia402 import aborts
-from sim.cia402.aborts import Abort
-from sim.cia402.dictionary import Dictionary
+from sim.cia402.aborts import SdoAbort
+from sim.cia402.dictionary import DriveDictionary
 from sim.cia402.homing import METHODS, HomingMode
 from sim.cia402.modes import (
     CYCLIC,
@@ -14,14 +14,14 @@ from sim.cia402.modes import (
     PROFILE_POSITION,
     PROFILE_VELOCITY,
     REACHED,
-    Interpolated,
-    Mode,
+    InterpolatedPosition,
+    OperationMode,
     ProfilePosition,
     ProfileVelocity,
 )
-from sim.cia402.options import Options
-from sim.cia402.servo import Servo
-from sim.cia402.states import POWERED, Leave, PowerStates, State
+from sim.cia402.options import DriveOptions
+from sim.cia402.servo import ServoMotor
+from sim.cia402.states import POWERED, Leave, PowerState, PowerStates
 from sim.core.controller import LimitSwitch
 from sim.core.devicetime import DeviceTime
 
@@ -34,20 +34,23 @@ _GENERIC, _COMMUNICATION, _PROFILE = 0x01, 0x10, 0x20
 _VOLTAGE, _REMOTE, _INTERNAL_LIMIT = 0x10, 0x200, 0x800
 
 _POSITIVE = (0x6083, 0x6084, 0x6085, 0x609A)
-"""Objects that a ramp is divided by."""
+"""Objects that are divisors of a ramp."""
 _FACTORS = tuple((index, sub) for index in (0x608F, 0x6091, 0x6092, 0x6096, 0x6097) for sub in (1, 2))
 
 
-class Drive:
-    """emergency: send an EMCY with this error code, and these bits in the error register; code 0: no error any more.
-    changed: something that a PDO may carry has changed. phase_ns: of the control loop's ticks.
+class ServoDrive:
+    """Power states, mode and motor of one drive.
+
+    emergency: sends an EMCY with this error code, and these bits in the error register; code 0: no error is left.
+    changed: called when a value that a PDO may carry has changed.
+    phase_ns: phase of the control loop's ticks.
     """
 
     def __init__(
         self,
-        dictionary: Dictionary,
+        dictionary: DriveDictionary,
         time: DeviceTime,
-        options: Options,
+        options: DriveOptions,
         phase_ns: int,
         emergency: Callable[[int, int], None],
         changed: Callable[[], None],
@@ -58,15 +61,24 @@ class Drive:
         self._changed = changed
         self._control = 0
         self._after_stop: Callable[[], None] | None = None
-        self.servo = Servo(dictionary, time, options, phase_ns, changed, self._ended, self._limit, self._strayed)
-        self.states = PowerStates(dictionary.get, self._stop, self._state_changed, self._has_voltage)
+        self.servo = ServoMotor(
+            dictionary,
+            time,
+            options,
+            phase_ns,
+            changed,
+            self._handle_motion_end,
+            self._handle_limit,
+            self._handle_following_error,
+        )
+        self.states = PowerStates(dictionary.get_value, self._stop_motion, self._state_changed, self._has_voltage)
         self._homing = HomingMode(dictionary, self.servo, options)
         self._homing.failed = lambda: emergency(HOMING_ERROR_CODE, _GENERIC | _PROFILE)
-        interpolated = Interpolated(dictionary, self.servo, False, options.sync_missed)
-        cyclic = Interpolated(dictionary, self.servo, True, options.sync_missed)
-        interpolated.lost = cyclic.lost = lambda: self.fault(SYNC_LOST_CODE, _COMMUNICATION)
-        self._modes: dict[int, Mode] = {
-            0: Mode(dictionary, self.servo),
+        interpolated = InterpolatedPosition(dictionary, self.servo, False, options.sync_missed)
+        cyclic = InterpolatedPosition(dictionary, self.servo, True, options.sync_missed)
+        interpolated.sync_lost = cyclic.sync_lost = lambda: self.enter_fault(SYNC_LOST_CODE, _COMMUNICATION)
+        self._modes: dict[int, OperationMode] = {
+            0: OperationMode(dictionary, self.servo),
             PROFILE_POSITION: ProfilePosition(dictionary, self.servo),
             PROFILE_VELOCITY: ProfileVelocity(dictionary, self.servo),
             HOMING: self._homing,
@@ -74,27 +86,27 @@ class Drive:
             CYCLIC: cyclic,
         }
         for mode in self._modes.values():
-            mode.leave()
+            mode.leave_mode()
         self._mode = 0
         self._connect_objects()
 
     def _connect_objects(self) -> None:
         reads, writes, servo = self._dictionary.reads, self._dictionary.writes, self.servo
-        reads[0x6041, 0] = self.status
+        reads[0x6041, 0] = self.status_word
         reads[0x6061, 0] = lambda: self._mode
         reads[0x6502, 0] = lambda: sum(1 << mode - 1 for mode in self._options.modes)
         for index in (0x6062, 0x60FC):
-            reads[index, 0] = lambda: round(servo.demand)
+            reads[index, 0] = lambda: round(servo.demand_position)
         for index in (0x6063, 0x6064):
-            reads[index, 0] = lambda: round(servo.actual)
-        reads[0x606B, 0] = lambda: servo.velocity_units(servo.speed)
-        reads[0x606C, 0] = lambda: 0 if servo.stuck else servo.velocity_units(servo.speed)
-        reads[0x60F4, 0] = lambda: round(servo.demand - servo.actual)
-        reads[0x60FD, 0] = lambda: servo.terminals.word(servo.mechanical)
-        writes[0x6040, 0] = self.control
-        writes[0x6060, 0] = self._select
-        writes[0x60FE, 1] = lambda value: servo.terminals.drive_outputs(value, self._dictionary.get(0x60FE, 2))
-        writes[0x60FE, 2] = lambda value: servo.terminals.drive_outputs(self._dictionary.get(0x60FE, 1), value)
+            reads[index, 0] = lambda: round(servo.actual_position)
+        reads[0x606B, 0] = lambda: servo.velocity_units(servo.demand_speed)
+        reads[0x606C, 0] = lambda: 0 if servo.is_stuck else servo.velocity_units(servo.demand_speed)
+        reads[0x60F4, 0] = lambda: round(servo.demand_position - servo.actual_position)
+        reads[0x60FD, 0] = lambda: servo.terminals.input_word(servo.mechanical_position)
+        writes[0x6040, 0] = self.handle_controlword
+        writes[0x6060, 0] = self._select_mode
+        writes[0x60FE, 1] = lambda value: servo.terminals.drive_outputs(value, self._dictionary.get_value(0x60FE, 2))
+        writes[0x60FE, 2] = lambda value: servo.terminals.drive_outputs(self._dictionary.get_value(0x60FE, 1), value)
         writes[0x60FF, 0] = self._new_velocity
         for index in _POSITIVE:
             writes[index, 0] = _require_positive
@@ -107,150 +119,152 @@ class Drive:
 
     # Controlword and statusword
 
-    def status(self) -> int:
+    def status_word(self) -> int:
         """The statusword."""
         state = self.states.state
         word = state.value | _REMOTE | _VOLTAGE * self._has_voltage() | _INTERNAL_LIMIT * self.servo.internal_limit
-        if state is State.ENABLED:
-            bits = self._modes[self._mode].bits
+        if state is PowerState.ENABLED:
+            bits = self._modes[self._mode].status_bits
             if self._control & HALT:
-                bits = bits & ~REACHED | REACHED * (not self.servo.busy)
+                bits = bits & ~REACHED | REACHED * (not self.servo.is_busy)
             return word | bits
-        return word | REACHED * (state is State.QUICK_STOP and not self.servo.busy)
+        return word | REACHED * (state is PowerState.QUICK_STOP and not self.servo.is_busy)
 
-    def control(self, word: int) -> None:
-        """A controlword has come."""
+    def handle_controlword(self, word: int) -> None:
+        """Process a controlword."""
         before, self._control = self._control, word
-        was_fault = self.states.state is State.FAULT
-        self.states.order(word)
-        if was_fault and self.states.state is State.DISABLED:
-            self._dictionary.put(0x603F, 0, 0)
+        was_fault = self.states.state is PowerState.FAULT
+        self.states.handle_controlword(word)
+        if was_fault and self.states.state is PowerState.DISABLED:
+            self._dictionary.put_value(0x603F, 0, 0)
             self._emergency(0, 0)
-        if self.states.state is State.ENABLED:
+        if self.states.state is PowerState.ENABLED:
             mode, rising = self._modes[self._mode], word & ~before
             if rising & HALT:
-                self._stop("quick stop" if self._dictionary.get(0x605D) == 2 else "slow down", lambda: None)
-            mode.control(word, rising)
+                self._stop_motion(
+                    "quick stop" if self._dictionary.get_value(0x605D) == 2 else "slow down", lambda: None
+                )
+            mode.handle_controlword(word, rising)
             if before & HALT and not word & HALT:
-                mode.resume()
+                mode.resume_motion()
         self._changed()
 
-    def _select(self, mode: int) -> None:
-        """Object 0x6060: another mode of operation. What moves comes to rest by its ramp."""
+    def _select_mode(self, mode: int) -> None:
+        """Object 0x6060: select a mode of operation. A motion in progress stops by its ramp."""
         if mode not in (0, *self._options.modes):
-            raise Abort(aborts.RANGE)
+            raise SdoAbort(aborts.RANGE)
         if mode == self._mode:
             return
-        enabled = self.states.state is State.ENABLED
+        enabled = self.states.state is PowerState.ENABLED
         if enabled:
-            self._modes[self._mode].leave()
-            if self.servo.mover.moving:
-                self.servo.slow_down(self.servo.acceleration(0x6084))
+            self._modes[self._mode].leave_mode()
+            if self.servo.mover.is_moving:
+                self.servo.slow_down(self.servo.read_acceleration(0x6084))
         self._mode = mode
         if enabled:
-            self._modes[mode].enter()
+            self._modes[mode].enter_mode()
         self._changed()
 
     def _new_velocity(self, value: int) -> None:
-        self._dictionary.put(0x60FF, 0, value)
-        if self._mode == PROFILE_VELOCITY and self.states.state is State.ENABLED and not self._control & HALT:
-            self._modes[PROFILE_VELOCITY].resume()
+        self._dictionary.put_value(0x60FF, 0, value)
+        if self._mode == PROFILE_VELOCITY and self.states.state is PowerState.ENABLED and not self._control & HALT:
+            self._modes[PROFILE_VELOCITY].resume_motion()
 
     def _require_factor(self, value: int) -> None:
         if self.states.state in POWERED:
-            raise Abort(aborts.DEVICE_STATE)
+            raise SdoAbort(aborts.DEVICE_STATE)
         _require_positive(value)
 
-    def sync(self) -> None:
-        """SYNC has come, and synchronous PDOs are in their objects."""
-        if self.states.state is State.ENABLED and not self._control & HALT:
-            self._modes[self._mode].sync()
+    def handle_sync(self) -> None:
+        """Process SYNC; the synchronous PDOs are in their objects."""
+        if self.states.state is PowerState.ENABLED and not self._control & HALT:
+            self._modes[self._mode].handle_sync()
 
-    # What the states ask for
+    # Callbacks of the power states
 
     def _has_voltage(self) -> bool:
         number = self._options.enable_input
-        return number is None or self.servo.terminals.input(number)
+        return number is None or self.servo.terminals.input_level(number)
 
-    def _stop(self, how: Leave, then: Callable[[], None]) -> None:
+    def _stop_motion(self, way: Leave, then: Callable[[], None]) -> None:
         servo = self.servo
-        if how == "at once":
-            servo.let_go()
-        if not servo.mover.moving:
-            servo.forget()
+        if way == "at once":
+            servo.switch_off()
+        if not servo.mover.is_moving:
+            servo.cancel_order()
             then()
             return
         self._after_stop = then
-        servo.slow_down(servo.acceleration(0x6085 if how == "quick stop" else 0x6084))
+        servo.slow_down(servo.read_acceleration(0x6085 if way == "quick stop" else 0x6084))
 
-    def _ended(self) -> None:
+    def _handle_motion_end(self) -> None:
         then, self._after_stop = self._after_stop, None
         if then is not None:
             then()
-        elif self.states.state is State.ENABLED and not self._control & HALT:
-            self._modes[self._mode].ended()
+        elif self.states.state is PowerState.ENABLED and not self._control & HALT:
+            self._modes[self._mode].handle_motion_end()
 
-    def _state_changed(self, before: State) -> None:
+    def _state_changed(self, before: PowerState) -> None:
         after, mode = self.states.state, self._modes[self._mode]
         self._after_stop = None
-        if before is State.ENABLED:
-            mode.leave()
+        if before is PowerState.ENABLED:
+            mode.leave_mode()
         if after not in POWERED:
-            self.servo.let_go()
-        if after is State.ENABLED:
+            self.servo.switch_off()
+        if after is PowerState.ENABLED:
             self.servo.internal_limit = False
-            mode.enter()
+            mode.enter_mode()
         self._changed()
 
-    def _limit(self, sign: int) -> None:
-        """The motor runs into a limit switch: it stops by the quick stop ramp, and stays enabled."""
+    def _handle_limit(self, sign: int) -> None:
+        """The motor reaches a limit switch: stop by the quick stop ramp, and stay enabled."""
         servo = self.servo
-        if self.states.state is State.ENABLED and self._modes[self._mode].limit(sign):
+        if self.states.state is PowerState.ENABLED and self._modes[self._mode].handle_limit(sign):
             return
         servo.internal_limit = True
-        if servo.mover.moving and not servo.mover.slowing:
-            servo.slow_down(servo.acceleration(0x6085))
+        if servo.mover.is_moving and not servo.mover.slowing:
+            servo.slow_down(servo.read_acceleration(0x6085))
         self._changed()
 
     # Faults
 
-    def fault(self, code: int, register: int) -> None:
-        """An error that the drive can not work with."""
-        self._dictionary.put(0x603F, 0, code)
+    def enter_fault(self, code: int, register: int) -> None:
+        """Enter the fault state after an error that prevents operation."""
+        self._dictionary.put_value(0x603F, 0, code)
         self._emergency(code, register | _GENERIC)
-        self.states.fault()
+        self.states.enter_fault()
         self._changed()
 
-    def _strayed(self) -> None:
+    def _handle_following_error(self) -> None:
         if self.states.state in POWERED:
-            self.fault(FOLLOWING_ERROR_CODE, _PROFILE)
+            self.enter_fault(FOLLOWING_ERROR_CODE, _PROFILE)
 
     def connection_lost(self) -> None:
-        """The client is gone, or has stopped the node: the abort connection option code says what that means."""
-        code = self._dictionary.get(0x6007)
+        """The client is lost, or has stopped the node: act as the abort connection option code requires."""
+        code = self._dictionary.get_value(0x6007)
         if code == 1:
-            self.states.fault()
-            self._dictionary.put(0x603F, 0, COMMUNICATION_CODE)
+            self.states.enter_fault()
+            self._dictionary.put_value(0x603F, 0, COMMUNICATION_CODE)
         elif code == 2:
             self.states.lose_voltage()
-        elif code == 3 and self.states.state is State.ENABLED:
+        elif code == 3 and self.states.state is PowerState.ENABLED:
             self.states.quick_stop()
         self._changed()
 
-    # Power, and the world
+    # Power and environment
 
     def power_up(self) -> None:
-        """The firmware begins: the position counts from here."""
+        """Start the firmware: the position counts from here."""
         self._control = 0
-        self._mode = self._dictionary.get(0x6060) if self._dictionary.get(0x6060) in self._modes else 0
-        self.servo.offset = -self.servo.mechanical
+        self._mode = self._dictionary.get_value(0x6060) if self._dictionary.get_value(0x6060) in self._modes else 0
+        self.servo.offset = -self.servo.mechanical_position
         self.servo.internal_limit = False
-        self.states.enter(State.NOT_READY)
-        self.states.enter(State.DISABLED)
+        self.states.enter_state(PowerState.NOT_READY)
+        self.states.enter_state(PowerState.DISABLED)
 
     def power_down(self) -> None:
-        """Power is gone, or the node is reset."""
-        self.states.enter(State.NOT_READY)
+        """Handle a power loss or a reset of the node."""
+        self.states.enter_state(PowerState.NOT_READY)
         self.servo.terminals.drive_outputs(0, 0xFFFF_FFFF)
 
     def set_input(self, number: int, level: bool) -> None:
@@ -261,31 +275,31 @@ class Drive:
     def set_limit(self, which: LimitSwitch) -> None:
         servo = self.servo
         servo.terminals.forced = None if which == "none" else which
-        servo.mover.look_again()
-        self._homing.released()
-        speed = servo.speed
-        negative, positive = servo.terminals.limits(servo.mechanical)
+        servo.mover.recheck_marks()
+        self._homing.handle_switch_release()
+        speed = servo.demand_speed
+        negative, positive = servo.terminals.limit_states(servo.mechanical_position)
         if (speed < 0 and negative) or (speed > 0 and positive):
-            self._limit(-1 if speed < 0 else 1)
+            self._handle_limit(-1 if speed < 0 else 1)
         self._changed()
 
 
 def _require_positive(value: int) -> None:
     if value <= 0:
-        raise Abort(aborts.RANGE)
+        raise SdoAbort(aborts.RANGE)
 
 
 def _require_zero(value: int) -> None:
     if value:
-        raise Abort(aborts.RANGE)
+        raise SdoAbort(aborts.RANGE)
 
 
 def _require_method(value: int) -> None:
     if value not in METHODS:
-        raise Abort(aborts.RANGE)
+        raise SdoAbort(aborts.RANGE)
 
 
 def _require_time_index(value: int) -> None:
-    """From microseconds to seconds."""
+    """Convert microseconds to seconds."""
     if not -6 <= value <= 0:
-        raise Abort(aborts.RANGE)
+        raise SdoAbort(aborts.RANGE)

@@ -1,23 +1,23 @@
-"""The homing mode: methods 17-30 by switches, 1-14 by the same ones and the index pulse behind them, 33 and 34 by the
-index pulse alone, 35 and 37 where it stands (CiA 402-2; 15, 16, 31, 32 and 36 are reserved there)."""
+"""Homing mode: methods 17-30 by switches, 1-14 by the same switches and the next index pulse, 33 and 34 by the index
+pulse alone, 35 and 37 at the present position (CiA 402-2; 15, 16, 31, 32 and 36 are reserved there)."""
 
 import math
 from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.cia402.dictionary import Dictionary
-from sim.cia402.modes import FOLLOWING_ERROR, HALT, REACHED, START, Mode
-from sim.cia402.mover import Mark
-from sim.cia402.options import Options
+from sim.cia402.dictionary import DriveDictionary
+from sim.cia402.modes import FOLLOWING_ERROR, HALT, REACHED, START, OperationMode
+from sim.cia402.mover import PositionMark
+from sim.cia402.options import DriveOptions
 from sim.cia402.profile import to_rest, to_speed
-from sim.cia402.servo import Servo
+from sim.cia402.servo import ServoMotor
 
 _ATTAINED = 0x1000
 _ERROR = FOLLOWING_ERROR
 
-# By method: the direction in which the home switch is looked for, which of its ends is meant (0 the lower, 1 the
-# upper), and the direction in which that is passed at last. With 19-22 it is active up to the end of the travel.
+# By method: the direction of the search for the home switch, which of its ends is used (0 the lower, 1 the upper), and
+# the direction of the final pass over that end. With 19-22 the switch is active up to the end of the travel.
 _BY_SWITCH: dict[int, tuple[int, int, int]] = {
     19: (1, 0, -1),
     20: (1, 0, 1),
@@ -44,9 +44,9 @@ _FAST, _SLOW = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class _Leg:
-    """A part of the way: in direction `sign` until one of `places` is passed; or until the limit switch of direction
-    `release` is let go."""
+class _SearchLeg:
+    """One leg of the search: in direction `sign` until one of `places` is passed; or until the limit switch of
+    direction `release` opens."""
 
     sign: int
     speed: int
@@ -54,125 +54,127 @@ class _Leg:
     release: int = 0
 
 
-Script = Generator[_Leg, float | None, float | None]
-"""Gives legs, is told where each has passed what it looked for (None: it ran into a limit switch), and returns the
-mechanical home position (None: there is none)."""
+Script = Generator[_SearchLeg, float | None, float | None]
+"""Yields legs, receives the position where each has found its target (None: it reached a limit switch), and returns
+the mechanical home position (None: there is none)."""
 
 
-class HomingMode(Mode):
-    """failed: called when the homing has gone wrong."""
+class HomingMode(OperationMode):
+    """Homing as a mode of operation.
 
-    def __init__(self, dictionary: Dictionary, servo: Servo, options: Options) -> None:
+    failed: called when the homing fails."""
+
+    def __init__(self, dictionary: DriveDictionary, servo: ServoMotor, options: DriveOptions) -> None:
         super().__init__(dictionary, servo)
         self._options = options
         self._state: Literal["idle", "running", "attained", "error"] = "idle"
         self._script: Script | None = None
-        self._leg: _Leg | None = None
+        self._leg: _SearchLeg | None = None
         self._result: float | None = None
         self.failed = lambda: None
 
-    def enter(self) -> None:
-        self._drop("idle")
+    def enter_mode(self) -> None:
+        self._cancel_search("idle")
 
-    def leave(self) -> None:
+    def leave_mode(self) -> None:
         if self._state == "running":
-            self._drop("idle")
+            self._cancel_search("idle")
 
-    def _drop(self, state: Literal["idle", "attained", "error"]) -> None:
+    def _cancel_search(self, state: Literal["idle", "attained", "error"]) -> None:
         self._state, self._script, self._leg, self.servo.wanted = state, None, None, []
 
-    def control(self, word: int, rising: int) -> None:
+    def handle_controlword(self, word: int, rising: int) -> None:
         if rising & START and not word & HALT:
-            self._begin()
+            self._begin_search()
         elif not word & START and self._state == "running":
-            self._drop("idle")
-            self.servo.slow_down(self._rate())
+            self._cancel_search("idle")
+            self.servo.slow_down(self._ramp_rate())
 
-    def resume(self) -> None:
+    def resume_motion(self) -> None:
         if self._leg is not None:
-            self.servo.at_tick(self._go)
+            self.servo.run_at_tick(self._start_leg)
 
-    def _rate(self) -> float:
-        return self.servo.acceleration(0x609A)
+    def _ramp_rate(self) -> float:
+        return self.servo.read_acceleration(0x609A)
 
-    def _begin(self) -> None:
-        self._drop("idle")
-        self._state, self._script = "running", self._plan(self.dictionary.get(0x6098))
-        self._next(None, first=True)
+    def _begin_search(self) -> None:
+        self._cancel_search("idle")
+        self._state, self._script = "running", self._plan_method(self.dictionary.get_value(0x6098))
+        self._next_leg(None, first=True)
 
     # Legs
 
-    def _next(self, passed: float | None, first: bool = False) -> None:
+    def _next_leg(self, passed: float | None, first: bool = False) -> None:
         script = self._script
         if script is None:
             return
         try:
             self._leg = next(script) if first else script.send(passed)
         except StopIteration as end:
-            self._finish(end.value)
+            self._finish_search(end.value)
             return
-        self.servo.at_tick(self._go)
+        self.servo.run_at_tick(self._start_leg)
 
-    def _go(self) -> None:
+    def _start_leg(self) -> None:
         leg, servo = self._leg, self.servo
         if leg is None:
             return
-        if leg.release and not self._pressed(leg.release):
-            self._passed(servo.mechanical)
+        if leg.release and not self._is_pressed(leg.release):
+            self._handle_passed(servo.mechanical_position)
             return
-        ahead = [place for place in leg.places if leg.sign * (place - servo.mechanical) > 0]
-        servo.wanted = [Mark(place, leg.sign, lambda p=place: self._passed(p)) for place in ahead]
-        speed = leg.sign * servo.velocity(0x6099, leg.speed)
-        servo.go(to_speed(servo.speed, speed, self._rate(), self._rate()))
+        ahead = [place for place in leg.places if leg.sign * (place - servo.mechanical_position) > 0]
+        servo.wanted = [PositionMark(place, leg.sign, lambda p=place: self._handle_passed(p)) for place in ahead]
+        speed = leg.sign * servo.read_velocity(0x6099, leg.speed)
+        servo.follow_plan(to_speed(servo.demand_speed, speed, self._ramp_rate(), self._ramp_rate()))
 
-    def _passed(self, place: float) -> None:
+    def _handle_passed(self, place: float) -> None:
         if self._leg is not None:
             self._result = place
-            self._stop()
+            self._stop_leg()
 
-    def _stop(self) -> None:
+    def _stop_leg(self) -> None:
         self._leg, self.servo.wanted = None, []
-        if self.servo.mover.moving:
-            self.servo.mover.go(to_rest(self.servo.speed, self._rate()))
+        if self.servo.mover.is_moving:
+            self.servo.mover.start_plan(to_rest(self.servo.demand_speed, self._ramp_rate()))
         else:
-            self._next(self._result)
+            self._next_leg(self._result)
 
-    def limit(self, sign: int) -> bool:
+    def handle_limit(self, sign: int) -> bool:
         if self._state != "running":
             return False
         if self._leg is not None and self._leg.sign == sign:
             self._result = None
-            self._stop()
+            self._stop_leg()
         return True
 
-    def released(self) -> None:
-        """A limit switch that was pressed from outside may have been let go."""
+    def handle_switch_release(self) -> None:
+        """Handle the opening of a limit switch that was pressed from outside."""
         leg = self._leg
-        if leg is not None and leg.release and not self._pressed(leg.release):
-            self._passed(self.servo.mechanical)
+        if leg is not None and leg.release and not self._is_pressed(leg.release):
+            self._handle_passed(self.servo.mechanical_position)
 
-    def ended(self) -> None:
+    def handle_motion_end(self) -> None:
         if self._state == "running" and self._leg is None:
-            self._next(self._result)
+            self._next_leg(self._result)
 
-    def _finish(self, home: float | None) -> None:
+    def _finish_search(self, home: float | None) -> None:
         if home is None:
-            self._drop("error")
+            self._cancel_search("error")
             self.failed()
             return
-        offset = self.dictionary.get(0x607C)
+        offset = self.dictionary.get_value(0x607C)
         at_home = offset if self._options.home_is_offset else -offset
         self.servo.offset = at_home - home
-        self._drop("attained")
+        self._cancel_search("attained")
 
-    def _pressed(self, sign: int) -> bool:
-        return self.servo.terminals.limits(self.servo.mechanical)[sign > 0]
+    def _is_pressed(self, sign: int) -> bool:
+        return self.servo.terminals.limit_states(self.servo.mechanical_position)[sign > 0]
 
     # Methods
 
-    def _plan(self, method: int) -> Script:
+    def _plan_method(self, method: int) -> Script:
         if method in _HERE:
-            return self._here()
+            return self._home_here()
         if method in _BY_LIMIT:
             return self._by_limit(_BY_LIMIT[method])
         if method in _BY_LIMIT_AND_INDEX:
@@ -183,53 +185,53 @@ class HomingMode(Mode):
             return self._by_switch(*_BY_SWITCH_AND_INDEX[method], index=True)
         return self._by_switch(*_BY_SWITCH[method])
 
-    def _here(self) -> Script:
-        return self.servo.mechanical
+    def _home_here(self) -> Script:
+        return self.servo.mechanical_position
         yield  # a script without legs
 
     def _by_limit(self, sign: int) -> Script:
-        """Into the limit switch, and out of it slowly."""
-        if not self._pressed(sign):
-            yield _Leg(sign, _FAST)
+        """Move into the limit switch, and slowly out of it."""
+        if not self._is_pressed(sign):
+            yield _SearchLeg(sign, _FAST)
         travel = self._options.travel
         places = (travel[sign > 0],) if travel is not None and self.servo.terminals.forced is None else ()
-        return (yield _Leg(-sign, _SLOW, places, release=sign))
+        return (yield _SearchLeg(-sign, _SLOW, places, release=sign))
 
     def _by_index(self, sign: int) -> Script:
-        return (yield _Leg(sign, _SLOW, (self._index_beyond(self.servo.mechanical, sign),)))
+        return (yield _SearchLeg(sign, _SLOW, (self._index_beyond(self.servo.mechanical_position, sign),)))
 
     def _index_beyond(self, place: float, sign: int) -> float:
-        """The next index pulse from there."""
+        """Return the next index pulse from there."""
         every = self._options.index_every
         turns = place / every
         return (math.floor(turns) + 1 if sign > 0 else math.ceil(turns) - 1) * every
 
     def _by_limit_and_index(self, sign: int) -> Script:
-        """Out of the limit switch, and on to the next index pulse."""
+        """Move out of the limit switch, and on to the next index pulse."""
         if (yield from self._by_limit(sign)) is None:
             return None
         return (yield from self._by_index(-sign))
 
-    def _by_switch(self, way: int, end: int, last: int, index: bool = False) -> Script:
-        """To the home switch, back at a limit switch, and slowly over the end that is meant; or on to the index pulse
-        behind that."""
-        terminals, edges = self.servo.terminals, tuple(self.servo.terminals.edges())
-        if not terminals.home(self.servo.mechanical):
-            passed = yield _Leg(way, _FAST, edges)
-            if passed is None and (yield _Leg(-way, _FAST, edges)) is None:
+    def _by_switch(self, direction: int, end: int, last: int, index: bool = False) -> Script:
+        """Move to the home switch, reverse at a limit switch, and move slowly over the selected end; or on to the
+        next index pulse."""
+        terminals, edges = self.servo.terminals, tuple(self.servo.terminals.home_edges())
+        if not terminals.home_state(self.servo.mechanical_position):
+            passed = yield _SearchLeg(direction, _FAST, edges)
+            if passed is None and (yield _SearchLeg(-direction, _FAST, edges)) is None:
                 return None
         switch = self._options.home_switch
         edge = None if switch is None else switch[end]
         if edge is None:
             return None
-        if last * (edge - self.servo.mechanical) <= 0 and (yield _Leg(-last, _FAST, (edge,))) is None:
+        if last * (edge - self.servo.mechanical_position) <= 0 and (yield _SearchLeg(-last, _FAST, (edge,))) is None:
             return None
-        return (yield _Leg(last, _SLOW, (self._index_beyond(edge, last) if index else edge,)))
+        return (yield _SearchLeg(last, _SLOW, (self._index_beyond(edge, last) if index else edge,)))
 
     @property
-    def bits(self) -> int:
+    def status_bits(self) -> int:
         state = self._state
         if state == "running":
             return 0
-        reached = REACHED * (not self.servo.busy and (state != "attained" or self.servo.settled()))
+        reached = REACHED * (not self.servo.is_busy and (state != "attained" or self.servo.is_settled()))
         return reached | _ATTAINED * (state == "attained") | _ERROR * (state == "error")

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 
 from orchestrator.clock.base import Timer
-from sim.cia402.dictionary import Dictionary
+from sim.cia402.dictionary import DriveDictionary
 from sim.cia402.profile import to_speed, to_target
-from sim.cia402.servo import UNLIMITED, Servo
+from sim.cia402.servo import UNLIMITED, ServoMotor
 
 PROFILE_POSITION, PROFILE_VELOCITY, HOMING, INTERPOLATED, CYCLIC = 1, 3, 6, 7, 8
 
@@ -23,222 +23,236 @@ ACKNOWLEDGED = SPEED_ZERO = ACTIVE = FOLLOWS = 0x1000
 FOLLOWING_ERROR = 0x2000
 
 
-class Mode:
-    """What the drive tells its mode. `bits` are those of the statusword that belong to it."""
+class OperationMode:
+    """Interface from the drive to its mode of operation.
 
-    def __init__(self, dictionary: Dictionary, servo: Servo) -> None:
+    bits: the bits of the statusword that the mode defines."""
+
+    def __init__(self, dictionary: DriveDictionary, servo: ServoMotor) -> None:
         self.dictionary = dictionary
         self.servo = servo
 
-    def enter(self) -> None:
-        """The drive is enabled in this mode from now on."""
+    def enter_mode(self) -> None:
+        """Enter the mode: the drive becomes enabled in it."""
 
-    def leave(self) -> None:
-        """It is not any more."""
+    def leave_mode(self) -> None:
+        """Leave the mode."""
 
-    def control(self, word: int, rising: int) -> None:
-        """A controlword; `rising` has the bits that were 0 in the one before."""
+    def handle_controlword(self, word: int, rising: int) -> None:
+        """Process a controlword; `rising` has the bits that were 0 in the one before."""
         del word, rising
 
-    def resume(self) -> None:
-        """Halt is over."""
+    def resume_motion(self) -> None:
+        """Resume after a halt."""
 
-    def sync(self) -> None:
-        """SYNC has come, and synchronous PDOs are in their objects."""
+    def handle_sync(self) -> None:
+        """Process SYNC; the synchronous PDOs are in their objects."""
 
-    def ended(self) -> None:
-        """The motor has come to rest."""
+    def handle_motion_end(self) -> None:
+        """Handle the end of a motion."""
 
-    def limit(self, sign: int) -> bool:
-        """The motor runs into a limit switch. True: this mode has dealt with it."""
+    def handle_limit(self, sign: int) -> bool:
+        """Handle a limit switch that the motor reaches. Return True if the mode has handled it."""
         del sign
         return False
 
     @property
-    def bits(self) -> int:
+    def status_bits(self) -> int:
         return 0
 
 
 @dataclass(frozen=True, slots=True)
-class _SetPoint:
+class _PositionSetPoint:
     target: float
     velocity: float
     up: float
     down: float
 
 
-class ProfilePosition(Mode):
-    """Set-points one at a time, or the next one while the present one is under way."""
+class ProfilePosition(OperationMode):
+    """Set-points one at a time, or the next one while the present one is in progress."""
 
-    def enter(self) -> None:
-        self._now: _SetPoint | None = None
-        self._next: _SetPoint | None = None
+    def enter_mode(self) -> None:
+        self._now: _PositionSetPoint | None = None
+        self._next: _PositionSetPoint | None = None
         self._acknowledged = False
 
-    leave = enter
+    leave_mode = enter_mode
 
-    def control(self, word: int, rising: int) -> None:
+    def handle_controlword(self, word: int, rising: int) -> None:
         if rising & START:
-            self._offer(word)
+            self._offer_set_point(word)
         elif not word & START:
             self._acknowledged = self._next is not None
 
-    def _offer(self, word: int) -> None:
+    def _offer_set_point(self, word: int) -> None:
         if self._next is not None:
             return  # the buffer is full: not acknowledged
-        point = self._read(bool(word & _RELATIVE))
+        point = self._read_set_point(bool(word & _RELATIVE))
         self._acknowledged = True
-        if word & _IMMEDIATELY or not self.servo.busy:
-            self._begin(point)
+        if word & _IMMEDIATELY or not self.servo.is_busy:
+            self._begin_set_point(point)
         else:
             self._next = point
 
-    def _read(self, relative: bool) -> _SetPoint:
-        get, servo = self.dictionary.get, self.servo
+    def _read_set_point(self, relative: bool) -> _PositionSetPoint:
+        get, servo = self.dictionary.get_value, self.servo
         target = float(get(0x607A))
         if relative:
             before = self._next or self._now
             code = get(0x60F2) & 3
-            target += servo.actual if code == 2 else servo.demand if code == 1 or before is None else before.target
-        inside = servo.clipped(target)
+            target += (
+                servo.actual_position
+                if code == 2
+                else servo.demand_position
+                if code == 1 or before is None
+                else before.target
+            )
+        inside = servo.clip_target(target)
         if inside != target:
             servo.internal_limit = True
-        velocity = servo.velocity(0x6081)
+        velocity = servo.read_velocity(0x6081)
         if get(0x607F) != UNLIMITED:
-            velocity = min(velocity, servo.velocity(0x607F))
-        up, down = servo.acceleration(0x6083), servo.acceleration(0x6084)
-        return _SetPoint(inside, velocity, up, down)
+            velocity = min(velocity, servo.read_velocity(0x607F))
+        up, down = servo.read_acceleration(0x6083), servo.read_acceleration(0x6084)
+        return _PositionSetPoint(inside, velocity, up, down)
 
-    def _begin(self, point: _SetPoint) -> None:
+    def _begin_set_point(self, point: _PositionSetPoint) -> None:
         self._now = point
         if point.velocity > 0:
-            self.servo.at_tick(self._go)
+            self.servo.run_at_tick(self._start_motion)
 
-    def _go(self) -> None:
+    def _start_motion(self) -> None:
         point, servo = self._now, self.servo
         if point is not None:
-            servo.go(to_target(servo.speed, point.target - servo.demand, point.velocity, point.up, point.down))
+            servo.follow_plan(
+                to_target(
+                    servo.demand_speed, point.target - servo.demand_position, point.velocity, point.up, point.down
+                )
+            )
 
-    def resume(self) -> None:
-        # Who stands at its target already does not move.
-        if self._now is not None and (self.servo.speed or self._now.target != self.servo.demand):
-            self.servo.at_tick(self._go)
+    def resume_motion(self) -> None:
+        # A set-point at the present position causes no motion.
+        if self._now is not None and (self.servo.demand_speed or self._now.target != self.servo.demand_position):
+            self.servo.run_at_tick(self._start_motion)
 
-    def ended(self) -> None:
+    def handle_motion_end(self) -> None:
         if self._next is not None:
             point, self._next = self._next, None
             self._acknowledged = False
-            self._begin(point)
+            self._begin_set_point(point)
 
     @property
-    def bits(self) -> int:
-        arrived = self._next is None and self.servo.settled()
-        return ACKNOWLEDGED * self._acknowledged | REACHED * arrived | FOLLOWING_ERROR * self.servo.stuck
+    def status_bits(self) -> int:
+        arrived = self._next is None and self.servo.is_settled()
+        return ACKNOWLEDGED * self._acknowledged | REACHED * arrived | FOLLOWING_ERROR * self.servo.is_stuck
 
 
-class ProfileVelocity(Mode):
+class ProfileVelocity(OperationMode):
     """The target velocity is followed as soon as it is written."""
 
-    def enter(self) -> None:
-        self.resume()
+    def enter_mode(self) -> None:
+        self.resume_motion()
 
-    def leave(self) -> None:
-        """Nothing is kept."""
+    def leave_mode(self) -> None:
+        """Keep no state."""
 
-    def resume(self) -> None:
-        self.servo.at_tick(self._go)
+    def resume_motion(self) -> None:
+        self.servo.run_at_tick(self._start_motion)
 
-    def _go(self) -> None:
+    def _start_motion(self) -> None:
         servo = self.servo
-        target = servo.velocity(0x60FF)
-        if self.dictionary.get(0x607F) != UNLIMITED:
-            most = servo.velocity(0x607F)
-            target = min(max(target, -most), most)
-        up, down = servo.acceleration(0x6083), servo.acceleration(0x6084)
-        end = servo.clipped(math.copysign(math.inf, target))
+        target = servo.read_velocity(0x60FF)
+        if self.dictionary.get_value(0x607F) != UNLIMITED:
+            speed_limit = servo.read_velocity(0x607F)
+            target = min(max(target, -speed_limit), speed_limit)
+        up, down = servo.read_acceleration(0x6083), servo.read_acceleration(0x6084)
+        end = servo.clip_target(math.copysign(math.inf, target))
         if target and not math.isinf(end):
-            plan = to_target(servo.speed, end - servo.demand, abs(target), up, down)
-        elif target or servo.speed:
-            plan = to_speed(servo.speed, target, up, down)
+            plan = to_target(servo.demand_speed, end - servo.demand_position, abs(target), up, down)
+        elif target or servo.demand_speed:
+            plan = to_speed(servo.demand_speed, target, up, down)
         else:
             return
-        servo.go(plan)
+        servo.follow_plan(plan)
 
-    def ended(self) -> None:
-        self.servo.internal_limit |= self.dictionary.get(0x60FF) != 0
+    def handle_motion_end(self) -> None:
+        self.servo.internal_limit |= self.dictionary.get_value(0x60FF) != 0
 
     @property
-    def bits(self) -> int:
-        speed = self.servo.speed
-        reached = abs(self.servo.velocity(0x60FF) - speed) <= max(0.5, self.servo.velocity(0x606D))
-        still_speeding_up = self.servo.busy and speed == 0
+    def status_bits(self) -> int:
+        speed = self.servo.demand_speed
+        reached = abs(self.servo.read_velocity(0x60FF) - speed) <= max(0.5, self.servo.read_velocity(0x606D))
+        still_speeding_up = self.servo.is_busy and speed == 0
         return REACHED * (reached and not still_speeding_up) | SPEED_ZERO * (speed == 0)
 
 
-class Interpolated(Mode):
-    """Positions that come with SYNC; the motor goes there in a straight line within one interpolation time period.
+class InterpolatedPosition(OperationMode):
+    """Positions that arrive with SYNC; the motor moves linearly to each within one interpolation time period.
 
-    cyclic: cyclic synchronous position; else interpolated position, which follows only while bit 4 is set. lost: SYNC
-    has not come for too long.
+    cyclic: cyclic synchronous position; otherwise interpolated position, which follows only while bit 4 is set.
+    lost: called when SYNC has been missing for too long.
     """
 
-    def __init__(self, dictionary: Dictionary, servo: Servo, cyclic: bool, missed: int) -> None:
+    def __init__(self, dictionary: DriveDictionary, servo: ServoMotor, cyclic: bool, missed: int) -> None:
         super().__init__(dictionary, servo)
         self._key = (0x607A, 0) if cyclic else (0x60C1, 1)
         self._cyclic = cyclic
         self._missed = missed
         self._on = False
         self._watchdog: Timer | None = None
-        self.lost = lambda: None
+        self.sync_lost = lambda: None
 
-    def enter(self) -> None:
-        """The target is where the motor stands until a client says otherwise."""
+    def enter_mode(self) -> None:
+        """Set the target to the present position until a client writes another one."""
         self._on = self._cyclic
-        self.servo.mover.interpolate(True)
-        self.dictionary.put(*self._key, round(self.servo.demand))
+        self.servo.mover.set_interpolating(True)
+        self.dictionary.put_value(*self._key, round(self.servo.demand_position))
 
-    def leave(self) -> None:
+    def leave_mode(self) -> None:
         self._on = False
-        self.servo.mover.interpolate(False)
-        self._quiet()
+        self.servo.mover.set_interpolating(False)
+        self._cancel_watchdog()
 
-    def control(self, word: int, rising: int) -> None:
+    def handle_controlword(self, word: int, rising: int) -> None:
         if not self._cyclic:
             self._on = bool(word & START)
         if not self._on or word & HALT:
-            self._quiet()
+            self._cancel_watchdog()
 
-    def sync(self) -> None:
+    def handle_sync(self) -> None:
         if not self._on:
             return
         servo = self.servo
-        target = float(self.dictionary.get(*self._key) + (self.dictionary.get(0x60B0) if self._cyclic else 0))
-        inside = servo.clipped(target)
+        target = float(
+            self.dictionary.get_value(*self._key) + (self.dictionary.get_value(0x60B0) if self._cyclic else 0)
+        )
+        inside = servo.clip_target(target)
         servo.internal_limit = inside != target
-        servo.at_tick(lambda: self._follow(inside))
-        self._quiet()
-        self._watchdog = servo.time.call_after(self._missed * servo.period_ns(), self._starved)
+        servo.run_at_tick(lambda: self._follow_target(inside))
+        self._cancel_watchdog()
+        self._watchdog = servo.time.call_after(self._missed * servo.period_ns(), self._handle_missing_sync)
 
-    def _follow(self, target: float) -> None:
+    def _follow_target(self, target: float) -> None:
         servo = self.servo
-        negative, positive = servo.terminals.limits(servo.mechanical)
-        way = target - servo.demand
-        if (way < 0 and negative) or (way > 0 and positive):
+        negative, positive = servo.terminals.limit_states(servo.mechanical_position)
+        distance = target - servo.demand_position
+        if (distance < 0 and negative) or (distance > 0 and positive):
             servo.internal_limit = True
             return
-        servo.mover.follow(target - servo.offset, servo.period_s())
+        servo.mover.follow_target(target - servo.offset, servo.period_s())
 
-    def _starved(self) -> None:
-        # At rest nobody is harmed when SYNC ends.
-        if self.servo.mover.running:
-            self.lost()
+    def _handle_missing_sync(self) -> None:
+        # At standstill a missing SYNC does no harm.
+        if self.servo.mover.is_running:
+            self.sync_lost()
 
-    def _quiet(self) -> None:
+    def _cancel_watchdog(self) -> None:
         if self._watchdog is not None:
             self._watchdog.cancel()
             self._watchdog = None
 
     @property
-    def bits(self) -> int:
-        reached = REACHED * (not self._cyclic and not self.servo.mover.running)
-        return ACTIVE * self._on | reached | FOLLOWING_ERROR * self.servo.stuck
+    def status_bits(self) -> int:
+        reached = REACHED * (not self._cyclic and not self.servo.mover.is_running)
+        return ACTIVE * self._on | reached | FOLLOWING_ERROR * self.servo.is_stuck

@@ -1,39 +1,41 @@
-"""The commanded motion of the motor, in closed form, with what it runs over."""
+"""The commanded motion of the motor, in closed form, with the positions that it passes."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S, Timer
-from sim.cia402.profile import Plan, straight
-from sim.core.controller import Motion
+from sim.cia402.profile import MotionPlan, to_linear
+from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
 from sim.core.ramps import first_at
 
-LEAST = 0.5
-"""Targets are whole units: what is nearer than this is the same one."""
+POSITION_RESOLUTION = 0.5
+"""Targets are whole units: closer positions are equal."""
 PAUSE_NS = 500_000_000
-"""An interpolated path may rest for so long, and is the same motion when it goes on: where it is slow, a period may
-have no unit to go."""
+"""Longest pause of an interpolated path within one motion: at low speed, a period may have no unit to move."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
-    """A place that calls when the motion passes it in direction `sign`, or begins beyond it."""
+class PositionMark:
+    """A position whose callback is called when the motion passes it in direction `sign`, or begins beyond it."""
 
     place: float
     sign: int
     passed: Callable[[], None]
 
 
-class Mover:
-    """Positions are mechanical: in the user's units, from where the drive stood when it was built, never redefined.
+class MotionGenerator:
+    """Commanded motion of one motor.
 
-    marks: gives the places to look out for, asked at the begin of each plan. ended: a plan that comes to rest is over.
+    Positions are mechanical: in the user's units, from the position at construction, never redefined.
+
+    marks: returns the positions to watch, called at the begin of each plan.
+    ended: called when a plan that ends at standstill is over.
     """
 
     def __init__(
-        self, time: DeviceTime, axis: str, marks: Callable[[], Sequence[Mark]], ended: Callable[[], None]
+        self, time: DeviceTime, axis: str, marks: Callable[[], Sequence[PositionMark]], ended: Callable[[], None]
     ) -> None:
         self._time = time
         self._axis = axis
@@ -41,67 +43,69 @@ class Mover:
         self._ended = ended
         self._rest = 0.0
         self._base = 0.0
-        self._plan: Plan | None = None
+        self._plan: MotionPlan | None = None
         self._begin_ns = 0
         self._timers: list[Timer] = []
-        self._motion: Motion | None = None
-        self.motions: list[Motion] = []
+        self._motion: CommandedMotion | None = None
+        self.motions: list[CommandedMotion] = []
         self.shift: Callable[[], float] = lambda: 0.0
-        """From mechanical to the user's positions, for the record of motions."""
+        """Offset from mechanical to the user's positions, for the record of motions."""
         self.slowing = False
-        """It comes to rest because of a stop."""
+        """The motion ends because of a stop."""
         self._interpolating = False
-        self._path: Motion | None = None
-        """An interpolated path that rests, and may go on."""
+        self._path: CommandedMotion | None = None
+        """An interpolated path that pauses, and may continue."""
         self._ended_ns = 0
 
-    # Where it is
+    # Position
 
-    def _now(self) -> tuple[float, float]:
+    def _state_now(self) -> tuple[float, float]:
         if self._plan is None:
             return self._rest, 0.0
-        displacement, speed = self._plan.at((self._time.now_ns() - self._begin_ns) / NS_PER_S)
+        displacement, speed = self._plan.state_at((self._time.now_ns() - self._begin_ns) / NS_PER_S)
         return self._base + displacement, speed
 
     @property
-    def position(self) -> float:
-        return self._now()[0]
+    def current_position(self) -> float:
+        return self._state_now()[0]
 
     @property
-    def speed(self) -> float:
-        """Units per second of the drive's crystal."""
-        return self._now()[1]
+    def current_speed(self) -> float:
+        """Speed in units per second of the drive's crystal."""
+        return self._state_now()[1]
 
     @property
-    def moving(self) -> bool:
+    def is_moving(self) -> bool:
         return self._plan is not None
 
     @property
-    def running(self) -> bool:
-        """Whether a motion is recorded as under way: also between the pieces of an interpolated path."""
+    def is_running(self) -> bool:
+        """Return whether a motion is recorded as in progress: also between the segments of an interpolated path."""
         return self._motion is not None
 
-    # Orders, which act now
+    # Orders, effective now
 
-    def go(self, plan: Plan, slowing: bool = False, here: float | None = None) -> None:
-        """Leave what it does and follow `plan`, from `here` on. slowing: because of a stop."""
-        here = self.position if here is None else here
-        self._cancel()
+    def start_plan(self, plan: MotionPlan, slowing: bool = False, start_position: float | None = None) -> None:
+        """Replace the present motion by `plan`, from `start_position` on.
+
+        slowing: because of a stop."""
+        start_position = self.current_position if start_position is None else start_position
+        self._cancel_timers()
         now_ns = self._time.now_ns()
-        self._base, self._plan, self._begin_ns, self.slowing = here, plan, now_ns, slowing
+        self._base, self._plan, self._begin_ns, self.slowing = start_position, plan, now_ns, slowing
         if self._motion is None:
-            self._motion = self._paused(now_ns) or self._begun(now_ns, here)
+            self._motion = self._resumable_motion(now_ns) or self._begin_motion(now_ns, start_position)
         if slowing and self._motion.slowing_ns is None:
             self._motion.slowing_ns = self._time.true_ns(now_ns)
-        self._watch(plan, 0.0)
+        self._watch_marks(plan, 0.0)
 
-    def _begun(self, now_ns: int, here: float) -> Motion:
-        motion = Motion(self._axis, self._time.true_ns(now_ns), here + self.shift())
+    def _begin_motion(self, now_ns: int, start_position: float) -> CommandedMotion:
+        motion = CommandedMotion(self._axis, self._time.true_ns(now_ns), start_position + self.shift())
         self.motions.append(motion)
         return motion
 
-    def _paused(self, now_ns: int) -> Motion | None:
-        """The path that has only rested a little."""
+    def _resumable_motion(self, now_ns: int) -> CommandedMotion | None:
+        """Return the path that has only paused briefly."""
         if not self._interpolating or self._path is None:
             return None
         motion, self._path = self._path, None
@@ -110,79 +114,80 @@ class Mover:
         motion.end_ns = motion.end_counts = None
         return motion
 
-    def look_again(self) -> None:
-        """The marks are others than before."""
+    def recheck_marks(self) -> None:
+        """Evaluate the marks again after a change."""
         if self._plan is not None:
             plan = self._plan
-            self._cancel()
-            self._watch(plan, (self._time.now_ns() - self._begin_ns) / NS_PER_S)
+            self._cancel_timers()
+            self._watch_marks(plan, (self._time.now_ns() - self._begin_ns) / NS_PER_S)
 
-    def _watch(self, plan: Plan, from_s: float) -> None:
+    def _watch_marks(self, plan: MotionPlan, from_s: float) -> None:
         if not math.isinf(plan.duration_s):
-            self._call(plan.duration_s, self._over)
+            self._call_after(plan.duration_s, self._finish_plan)
         for mark in self._marks():
             after_s = first_at(plan.segments, plan.duration_s, mark.place - self._base, mark.sign, from_s)
             if after_s is not None and not math.isinf(after_s):
-                self._call(after_s, mark.passed)
+                self._call_after(after_s, mark.passed)
 
-    def follow(self, target: float, period_s: float) -> None:
-        """One piece of an interpolated path, to `target` in `period_s`. `ended` is not called: the next may follow."""
-        here = self.position  # live, it is another one when it is asked for again
-        distance = target - here
-        if abs(distance) >= LEAST:
-            self.go(straight(distance, period_s), here=here)
+    def follow_target(self, target: float, period_s: float) -> None:
+        """Follow one segment of an interpolated path, to `target` in `period_s`. `ended` is not called: the next
+        segment may follow."""
+        start_position = self.current_position  # live, the position differs when it is read again
+        distance = target - start_position
+        if abs(distance) >= POSITION_RESOLUTION:
+            self.start_plan(to_linear(distance, period_s), start_position=start_position)
         elif self._plan is None and self._motion is not None:
-            # It has rested since the end of its last piece.
+            # It has been at standstill since the end of its last segment.
             self._path = self._motion
-            self._close(self._ended_ns)
+            self._close_motion(self._ended_ns)
 
-    def interpolate(self, on: bool) -> None:
-        """Whether plans are pieces of a path: the end of one is not the end of the motion then."""
+    def set_interpolating(self, on: bool) -> None:
+        """Set whether plans are segments of a path: then the end of one is not the end of the motion."""
         self._interpolating, self._path = on, None
         if not on and self._plan is None and self._motion is not None:
-            self._close(self._ended_ns)
+            self._close_motion(self._ended_ns)
 
     def halt_dead(self) -> None:
-        """Stand still at once: the power stage is off, or it never moved."""
-        self._rest = self.position
-        self._cancel()
+        """Stop at once: the power stage is off, or there was no motion."""
+        self._rest = self.current_position
+        self._cancel_timers()
         self._plan = None
         if self._motion is not None:
-            self._close(self._time.true_ns(self._time.now_ns()))
+            self._close_motion(self._time.true_ns(self._time.now_ns()))
 
-    def put(self, position: float) -> None:
-        """Somebody has moved the motor, which is at rest."""
+    def set_position(self, position: float) -> None:
+        """Set the position of a motor at rest that was moved by hand."""
         self._rest = position
 
-    # Inside
+    # Internal
 
-    def _call(self, after_s: float, callback: Callable[[], None]) -> None:
+    def _call_after(self, after_s: float, callback: Callable[[], None]) -> None:
         at_ns = self._begin_ns + math.ceil(after_s * NS_PER_S)
         plan = self._plan
 
-        def due() -> None:
+        def run_callback() -> None:
             if self._plan is plan:
                 callback()
 
-        self._timers.append(self._time.call_at(at_ns, due))
+        self._timers.append(self._time.call_at(at_ns, run_callback))
 
-    def _over(self) -> None:
+    def _finish_plan(self) -> None:
         plan = self._plan
         assert plan is not None
         self._rest = self._base + plan.distance
-        self._cancel()
+        self._cancel_timers()
         self._plan = None
         self._ended_ns = self._time.true_ns(self._begin_ns + round(plan.duration_s * NS_PER_S))
         if not self._interpolating:
-            self._close(self._ended_ns)
+            self._close_motion(self._ended_ns)
             self._ended()
 
-    def _close(self, at_ns: int) -> None:
+    def _close_motion(self, at_ns: int) -> None:
         assert self._motion is not None
         self._motion.end_ns, self._motion.end_counts = at_ns, self._rest + self.shift()
         self._motion = None
 
-    def _cancel(self) -> None:
+    def _cancel_timers(self) -> None:
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()

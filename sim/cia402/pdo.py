@@ -7,8 +7,8 @@ from functools import partial
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Timer
 from orchestrator.link.can import CanFrame
 from sim.cia402 import aborts
-from sim.cia402.aborts import Abort
-from sim.cia402.dictionary import Dictionary
+from sim.cia402.aborts import SdoAbort
+from sim.cia402.dictionary import DriveDictionary
 from sim.core.devicetime import DeviceTime
 
 COUNT = 4
@@ -36,8 +36,10 @@ _RESTRICTED = (
 
 
 @dataclass(slots=True)
-class _Pdo:
-    """One PDO as its parameters have it. objects: key and bytes of each."""
+class _PdoParameters:
+    """One PDO as its parameters define it.
+
+    objects: key and bytes of each."""
 
     parameter: int
     mapping: int
@@ -49,9 +51,12 @@ class _Pdo:
 
 
 @dataclass(slots=True)
-class _Outgoing(_Pdo):
-    """values: where those of its objects come from, with bytes and sign. last: what was sent last. free_ns: when the
-    inhibit time after it is over."""
+class _TransmitPdo(_PdoParameters):
+    """A transmit PDO.
+
+    values: sources of its objects' values, with bytes and sign.
+    last: the data sent last.
+    free_ns: end of the inhibit time after it."""
 
     values: tuple[tuple[Callable[[], int], int, bool], ...] = ()
     last: bytes = b""
@@ -62,20 +67,25 @@ class _Outgoing(_Pdo):
 
 
 @dataclass(slots=True)
-class _Incoming(_Pdo):
-    """held: what has come since the last SYNC."""
+class _ReceivePdo(_PdoParameters):
+    """A receive PDO.
+
+    held: data received since the last SYNC."""
 
     held: bytes | None = None
 
 
-class Pdos:
-    """All PDOs of one drive. send: puts a frame on the bus. emergency: sends an EMCY with this code.
-    other_identifiers: those of the frames that are listened to have changed.
+class PdoSet:
+    """All PDOs of one drive.
+
+    send: puts a frame on the bus.
+    emergency: sends an EMCY with this code.
+    other_identifiers: called when the identifiers of the received frames have changed.
     """
 
     def __init__(
         self,
-        dictionary: Dictionary,
+        dictionary: DriveDictionary,
         time: DeviceTime,
         send: Callable[[CanFrame], None],
         emergency: Callable[[int], None],
@@ -88,17 +98,17 @@ class Pdos:
         self._other_identifiers = other_identifiers
         self._running = False
         self.follows_motion = False
-        """Whether an event-driven PDO carries what changes while the motor turns."""
-        self._incoming = [_Incoming(0x1400 + n, 0x1600 + n) for n in range(COUNT)]
-        self._outgoing = [_Outgoing(0x1800 + n, 0x1A00 + n) for n in range(COUNT)]
+        """Whether an event-driven PDO carries values that change while the motor turns."""
+        self._incoming = [_ReceivePdo(0x1400 + n, 0x1600 + n) for n in range(COUNT)]
+        self._outgoing = [_TransmitPdo(0x1800 + n, 0x1A00 + n) for n in range(COUNT)]
         for pdo in (*self._incoming, *self._outgoing):
-            self._guard(pdo)
+            self._guard_parameters(pdo)
 
     # Parameters
 
-    def _guard(self, pdo: _Pdo) -> None:
-        """Have the writes of its parameters checked."""
-        writes, receive = self._dictionary.writes, isinstance(pdo, _Incoming)
+    def _guard_parameters(self, pdo: _PdoParameters) -> None:
+        """Install the checks for writes of its parameters."""
+        writes, receive = self._dictionary.writes, isinstance(pdo, _ReceivePdo)
         writes[pdo.parameter, 1] = lambda value: self._check_id(pdo, value)
         writes[pdo.parameter, 2] = lambda value: self._check_type(pdo, value, receive)
         if not receive:
@@ -108,66 +118,66 @@ class Pdos:
         for sub in range(1, MOST_OBJECTS + 1):
             writes[pdo.mapping, sub] = lambda value: self._check_object(pdo, value, receive)
 
-    def _require_off(self, pdo: _Pdo) -> None:
-        if not self._dictionary.get(pdo.parameter, 1) & _OFF:
-            raise Abort(aborts.UNSUPPORTED)
+    def _require_off(self, pdo: _PdoParameters) -> None:
+        if not self._dictionary.get_value(pdo.parameter, 1) & _OFF:
+            raise SdoAbort(aborts.UNSUPPORTED)
 
-    def _check_id(self, pdo: _Pdo, value: int) -> None:
-        before, identifier = self._dictionary.get(pdo.parameter, 1), value & _ID
+    def _check_id(self, pdo: _PdoParameters, value: int) -> None:
+        before, identifier = self._dictionary.get_value(pdo.parameter, 1), value & _ID
         if value & _EXTENDED or any(identifier in each for each in _RESTRICTED):
-            raise Abort(aborts.RANGE)
+            raise SdoAbort(aborts.RANGE)
         if not before & _OFF and not value & _OFF and before & _ID != identifier:
-            raise Abort(aborts.RANGE)
+            raise SdoAbort(aborts.RANGE)
         self._after_write(pdo, (pdo.parameter, 1), value)
 
-    def _check_type(self, pdo: _Pdo, value: int, receive: bool) -> None:
+    def _check_type(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
         if _SYNCHRONOUS_UP_TO < value < _EVENT_FROM and (receive or value < _REMOTE_SYNCHRONOUS):
-            raise Abort(aborts.RANGE)
+            raise SdoAbort(aborts.RANGE)
         self._after_write(pdo, (pdo.parameter, 2), value)
 
-    def _new_event_timer(self, pdo: _Pdo, value: int) -> None:
+    def _new_event_timer(self, pdo: _PdoParameters, value: int) -> None:
         self._after_write(pdo, (pdo.parameter, 5), value)
 
-    def _check_count(self, pdo: _Pdo, value: int, receive: bool) -> None:
+    def _check_count(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
         self._require_off(pdo)
         if value > MOST_OBJECTS:
-            raise Abort(aborts.TOO_HIGH)
+            raise SdoAbort(aborts.TOO_HIGH)
         bits = 0
         for sub in range(1, value + 1):
-            word = self._dictionary.get(pdo.mapping, sub)
+            word = self._dictionary.get_value(pdo.mapping, sub)
             self._check_mapped(word, receive)
             bits += word & 0xFF
         if bits > 64:
-            raise Abort(aborts.PDO_LENGTH)
+            raise SdoAbort(aborts.PDO_LENGTH)
         self._after_write(pdo, (pdo.mapping, 0), value)
 
-    def _check_object(self, pdo: _Pdo, value: int, receive: bool) -> None:
+    def _check_object(self, pdo: _PdoParameters, value: int, receive: bool) -> None:
         self._require_off(pdo)
-        if self._dictionary.get(pdo.mapping, 0):
-            raise Abort(aborts.UNSUPPORTED)
+        if self._dictionary.get_value(pdo.mapping, 0):
+            raise SdoAbort(aborts.UNSUPPORTED)
         if value:
             self._check_mapped(value, receive)
 
     def _check_mapped(self, word: int, receive: bool) -> None:
-        entry = self._dictionary.entry(word >> 16, word >> 8 & 0xFF)
+        entry = self._dictionary.find_entry(word >> 16, word >> 8 & 0xFF)
         if not entry.mappable or entry.size * 8 != word & 0xFF or (receive and not entry.writable):
-            raise Abort(aborts.NOT_MAPPABLE)
+            raise SdoAbort(aborts.NOT_MAPPABLE)
 
-    def _after_write(self, pdo: _Pdo, key: tuple[int, int], value: int) -> None:
-        self._dictionary.put(*key, value)
-        self._read(pdo)
+    def _after_write(self, pdo: _PdoParameters, key: tuple[int, int], value: int) -> None:
+        self._dictionary.put_value(*key, value)
+        self._read_parameters(pdo)
 
-    def _read(self, pdo: _Pdo) -> None:
-        """Take the parameters over."""
-        get = self._dictionary.get
+    def _read_parameters(self, pdo: _PdoParameters) -> None:
+        """Apply the parameters."""
+        get = self._dictionary.get_value
         word = get(pdo.parameter, 1)
         mapped = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
         pdo.id, pdo.on, pdo.remote = word & _ID, not word & _OFF, not word & _NO_REMOTE
         pdo.type = get(pdo.parameter, 2)
         pdo.objects = tuple(((each >> 16, each >> 8 & 0xFF), (each & 0xFF) // 8) for each in mapped)
-        if isinstance(pdo, _Incoming):
+        if isinstance(pdo, _ReceivePdo):
             pdo.held = None
-        elif isinstance(pdo, _Outgoing):
+        elif isinstance(pdo, _TransmitPdo):
             reads, entries = self._dictionary.reads, self._dictionary.entries
             pdo.values = tuple(
                 (reads.get(key) or partial(get, *key), size, entries[key].signed) for key, size in pdo.objects
@@ -179,18 +189,18 @@ class Pdos:
         )
         self._other_identifiers()
 
-    # Life
+    # State
 
-    def start(self) -> None:
-        """NMT state operational: event-driven PDOs are sent once."""
+    def start_sending(self) -> None:
+        """Enter NMT state operational: event-driven PDOs are sent once."""
         self._running = True
         for pdo in (*self._incoming, *self._outgoing):
-            self._read(pdo)
+            self._read_parameters(pdo)
         for pdo in self._outgoing:
             pdo.last, pdo.syncs, pdo.free_ns = b"", 0, 0
-        self.changed()
+        self.check_changes()
 
-    def stop(self) -> None:
+    def stop_sending(self) -> None:
         self._running = False
         for pdo in self._outgoing:
             for timer in (pdo.waiting, pdo.event):
@@ -200,18 +210,18 @@ class Pdos:
 
     # From the bus
 
-    def identifiers(self) -> set[int]:
-        """Of the frames that may be for one of the PDOs."""
+    def receive_identifiers(self) -> set[int]:
+        """Return the identifiers of the frames that may be for one of the PDOs."""
         return {pdo.id for pdo in (*self._incoming, *self._outgoing) if pdo.on}
 
-    def receive(self, frame: CanFrame) -> None:
-        """A frame that may be for one of the PDOs."""
+    def handle_frame(self, frame: CanFrame) -> None:
+        """Process a frame that may be for one of the PDOs."""
         if not self._running:
             return
         if frame.rtr:
             for pdo in self._outgoing:
                 if pdo.on and pdo.remote and pdo.id == frame.id:
-                    self._transmit(pdo)
+                    self._transmit_pdo(pdo)
             return
         for pdo in self._incoming:
             if pdo.on and pdo.id == frame.id:
@@ -220,85 +230,87 @@ class Pdos:
                 elif pdo.type <= _SYNCHRONOUS_UP_TO:
                     pdo.held = frame.data
                 else:
-                    self._take([(pdo, frame.data)])
+                    self._apply_received([(pdo, frame.data)])
 
     def sync_incoming(self) -> None:
-        """SYNC: what is held goes into the objects."""
+        """SYNC: move the held data into the objects."""
         held = [(pdo, pdo.held) for pdo in self._incoming if pdo.held is not None]
         for pdo, _ in held:
             pdo.held = None
-        self._take(held)
+        self._apply_received(held)
 
-    def _take(self, received: "list[tuple[_Incoming, bytes]]") -> None:
-        """The control loop sees all of them at once: the controlword acts on the other values that come with it."""
+    def _apply_received(self, received: "list[tuple[_ReceivePdo, bytes]]") -> None:
+        """Apply received PDOs. The control loop processes all of them at once: the controlword acts on the other
+        values that arrive with it."""
         words: list[int] = []
         for pdo, data in received:
             at = 0
             for key, size in pdo.objects:
-                value = self._dictionary.entries[key].decode(data[at : at + size])
+                value = self._dictionary.entries[key].decode_value(data[at : at + size])
                 at += size
                 if key == CONTROLWORD:
                     words.append(value)
                 else:
-                    self._take_one(key, value)
+                    self._apply_object(key, value)
         for word in words:
-            self._take_one(CONTROLWORD, word)
+            self._apply_object(CONTROLWORD, word)
 
-    def _take_one(self, key: tuple[int, int], value: int) -> None:
+    def _apply_object(self, key: tuple[int, int], value: int) -> None:
         try:
-            self._dictionary.take(*key, value)
-        except Abort:
-            # There is nobody to refuse it to: the object keeps its value.
+            self._dictionary.accept_value(*key, value)
+        except SdoAbort:
+            # A PDO has no reply to carry a refusal: the object keeps its value.
             return
 
     # To the bus
 
     def sync_outgoing(self) -> None:
-        """SYNC: synchronous PDOs are sent."""
+        """SYNC: send the synchronous PDOs."""
         if not self._running:
             return
         for pdo in self._outgoing:
             if not pdo.on:
                 continue
-            if pdo.type == 0 and self._encode(pdo) != pdo.last:
-                self._transmit(pdo)
+            if pdo.type == 0 and self._encode_values(pdo) != pdo.last:
+                self._transmit_pdo(pdo)
             elif 1 <= pdo.type <= _SYNCHRONOUS_UP_TO:
                 pdo.syncs += 1
                 if pdo.syncs >= pdo.type:
                     pdo.syncs = 0
-                    self._transmit(pdo)
+                    self._transmit_pdo(pdo)
 
-    def changed(self) -> None:
-        """An object may have another value: event-driven PDOs are sent if one of theirs has."""
+    def check_changes(self) -> None:
+        """Check the event-driven PDOs after a possible change of an object, and send those whose values have
+        changed."""
         if not self._running:
             return
         now_ns = self._time.now_ns()
         for pdo in self._outgoing:
-            if pdo.on and pdo.type >= _EVENT_FROM and pdo.waiting is None and self._encode(pdo) != pdo.last:
+            if pdo.on and pdo.type >= _EVENT_FROM and pdo.waiting is None and self._encode_values(pdo) != pdo.last:
                 if now_ns >= pdo.free_ns:
-                    self._transmit(pdo)
+                    self._transmit_pdo(pdo)
                 else:
-                    pdo.waiting = self._time.call_at(pdo.free_ns, lambda p=pdo: self._inhibited(p))
+                    pdo.waiting = self._time.call_at(pdo.free_ns, lambda p=pdo: self._handle_inhibit_end(p))
 
-    def _inhibited(self, pdo: _Outgoing) -> None:
+    def _handle_inhibit_end(self, pdo: _TransmitPdo) -> None:
         pdo.waiting = None
-        if pdo.on and self._encode(pdo) != pdo.last:
-            self._transmit(pdo)
+        if pdo.on and self._encode_values(pdo) != pdo.last:
+            self._transmit_pdo(pdo)
 
-    def _encode(self, pdo: _Outgoing) -> bytes:
+    def _encode_values(self, pdo: _TransmitPdo) -> bytes:
         return b"".join([value().to_bytes(size, "little", signed=signed) for value, size, signed in pdo.values])
 
-    def _transmit(self, pdo: _Outgoing) -> None:
-        pdo.last = self._encode(pdo)
+    def _transmit_pdo(self, pdo: _TransmitPdo) -> None:
+        pdo.last = self._encode_values(pdo)
         # Inhibit times are in 100 µs.
-        pdo.free_ns = self._time.now_ns() + self._dictionary.get(pdo.parameter, 3) * 100 * NS_PER_US
+        pdo.free_ns = self._time.now_ns() + self._dictionary.get_value(pdo.parameter, 3) * 100 * NS_PER_US
         self._send(CanFrame(pdo.id, pdo.last))
         self._arm_event_timer(pdo)
 
-    def _arm_event_timer(self, pdo: _Outgoing) -> None:
+    def _arm_event_timer(self, pdo: _TransmitPdo) -> None:
         if pdo.event is not None:
             pdo.event.cancel()
             pdo.event = None
-        after_ms = self._dictionary.get(pdo.parameter, 5)
+        after_ms = self._dictionary.get_value(pdo.parameter, 5)
         if self._running and pdo.on and pdo.type >= _EVENT_FROM and after_ms:
-            pdo.event = self._time.call_after(after_ms * NS_PER_MS, lambda: self._transmit(pdo))
+            pdo.event = self._time.call_after(after_ms * NS_PER_MS, lambda: self._transmit_pdo(pdo))

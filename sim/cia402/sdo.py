@@ -1,22 +1,22 @@
-"""The SDO server: expedited, segmented and block transfers, both ways (CiA 301, 7.2.4)."""
+"""The SDO server: expedited, segmented and block transfers, in both directions (CiA 301, 7.2.4)."""
 
 import binascii
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim.cia402 import aborts
-from sim.cia402.aborts import Abort
-from sim.cia402.dictionary import Dictionary
+from sim.cia402.aborts import SdoAbort
+from sim.cia402.dictionary import DriveDictionary
 
 SEGMENT_BYTES = 7
 BLOCK_SEGMENTS = 127
 LONGEST_BYTES = 1024
-"""A client that says it will send more is refused at once."""
+"""A client that announces more bytes is refused at once."""
 
 
 @dataclass(slots=True)
-class _Segmented:
-    """A transfer in segments, each of which is answered."""
+class _SegmentedTransfer:
+    """A transfer in segments, each of which is acknowledged."""
 
     up: bool
     index: int
@@ -27,8 +27,10 @@ class _Segmented:
 
 
 @dataclass(slots=True)
-class _Block:
-    """A transfer in blocks of segments, each block of which is answered. ending: the last segment is through."""
+class _BlockTransfer:
+    """A transfer in blocks of segments, each block of which is acknowledged.
+
+    ending: the last segment has been transferred."""
 
     up: bool
     index: int
@@ -44,25 +46,30 @@ class _Block:
 
 
 class SdoServer:
-    """One server. reply: sends eight bytes to the client. watch: called with true while a transfer waits for its
-    client, so that the caller can end it (`give_up`) when nothing comes."""
+    """One server.
 
-    def __init__(self, dictionary: Dictionary, reply: Callable[[bytes], None], watch: Callable[[bool], None]) -> None:
+    reply: sends eight bytes to the client.
+    watch: called with true while a transfer waits for its client, so that the caller can end it (`abort_timed_out`)
+    when no frame arrives."""
+
+    def __init__(
+        self, dictionary: DriveDictionary, reply: Callable[[bytes], None], watch: Callable[[bool], None]
+    ) -> None:
         self._dictionary = dictionary
         self._reply = reply
         self._watch = watch
-        self._transfer: _Segmented | _Block | None = None
+        self._transfer: _SegmentedTransfer | _BlockTransfer | None = None
 
-    def reset(self) -> None:
+    def reset_transfer(self) -> None:
         self._transfer = None
 
-    def give_up(self) -> None:
-        """The client has been silent for too long."""
+    def abort_timed_out(self) -> None:
+        """Abort the transfer: the client has been silent for too long."""
         if self._transfer is not None:
-            self._abort(self._transfer.index, self._transfer.sub, aborts.TIMED_OUT)
+            self._send_abort(self._transfer.index, self._transfer.sub, aborts.TIMED_OUT)
 
-    def request(self, data: bytes) -> None:
-        """Eight bytes of a client."""
+    def handle_request(self, data: bytes) -> None:
+        """Process eight bytes of a client."""
         if len(data) != 8:
             return
         transfer = self._transfer
@@ -71,27 +78,27 @@ class SdoServer:
             self._transfer = None
         else:
             try:
-                if isinstance(transfer, _Block) and not transfer.up and transfer.begun and not transfer.ending:
+                if isinstance(transfer, _BlockTransfer) and not transfer.up and transfer.begun and not transfer.ending:
                     self._block_segment(transfer, data)
                 else:
-                    self._command(data, index, sub)
-            except Abort as error:
+                    self._run_command(data, index, sub)
+            except SdoAbort as error:
                 here = self._transfer
                 where = (here.index, here.sub) if here is not None else (index, sub)
-                self._abort(*where, error.code)
+                self._send_abort(*where, error.code)
         self._watch(self._transfer is not None)
 
-    def _abort(self, index: int, sub: int, code: int) -> None:
+    def _send_abort(self, index: int, sub: int, code: int) -> None:
         self._transfer = None
         self._reply(bytes([0x80, *index.to_bytes(2, "little"), sub, *code.to_bytes(4, "little")]))
         self._watch(False)
 
-    def _command(self, data: bytes, index: int, sub: int) -> None:
+    def _run_command(self, data: bytes, index: int, sub: int) -> None:
         command = data[0] >> 5
         if command == 1:
-            self._download(data, index, sub)
+            self._start_download(data, index, sub)
         elif command == 2:
-            self._upload(index, sub)
+            self._start_upload(index, sub)
         elif command == 0:
             self._download_segment(data)
         elif command == 3:
@@ -101,57 +108,57 @@ class SdoServer:
         elif command == 6:
             self._block_download(data, index, sub)
         else:
-            raise Abort(aborts.COMMAND)
+            raise SdoAbort(aborts.COMMAND)
 
     # Expedited and segmented
 
-    def _download(self, data: bytes, index: int, sub: int) -> None:
+    def _start_download(self, data: bytes, index: int, sub: int) -> None:
         self._transfer = None
         expedited, sized = data[0] & 2, data[0] & 1
         if expedited:
-            # Without a size the object's own is meant.
-            length = 4 - (data[0] >> 2 & 3) if sized else min(4, self._dictionary.entry(index, sub).size)
-            self._dictionary.download(index, sub, data[4 : 4 + length])
+            # Without a size the object's own size applies.
+            length = 4 - (data[0] >> 2 & 3) if sized else min(4, self._dictionary.find_entry(index, sub).size)
+            self._dictionary.download_value(index, sub, data[4 : 4 + length])
         else:
-            entry = self._dictionary.entry(index, sub)
+            entry = self._dictionary.find_entry(index, sub)
             if not entry.writable:
-                raise Abort(aborts.READ_ONLY)
+                raise SdoAbort(aborts.READ_ONLY)
             size = int.from_bytes(data[4:8], "little") if sized else None
             if size is not None and size > LONGEST_BYTES:
-                raise Abort(aborts.TOO_LONG)
-            self._transfer = _Segmented(False, index, sub, size=size)
+                raise SdoAbort(aborts.TOO_LONG)
+            self._transfer = _SegmentedTransfer(False, index, sub, size=size)
         self._reply(bytes([0x60, *data[1:4], 0, 0, 0, 0]))
 
     def _download_segment(self, data: bytes) -> None:
         transfer = self._require_segmented(up=False)
         if data[0] >> 4 & 1 != transfer.toggle:
-            raise Abort(aborts.TOGGLE)
+            raise SdoAbort(aborts.TOGGLE)
         transfer.data += data[1 : 8 - (data[0] >> 1 & 7)]
         answer = bytes([0x20 | transfer.toggle << 4, 0, 0, 0, 0, 0, 0, 0])
         transfer.toggle ^= 1
         if len(transfer.data) > LONGEST_BYTES:
-            raise Abort(aborts.TOO_LONG)
+            raise SdoAbort(aborts.TOO_LONG)
         if data[0] & 1:
             if transfer.size is not None and len(transfer.data) != transfer.size:
-                raise Abort(aborts.LENGTH)
-            self._dictionary.download(transfer.index, transfer.sub, transfer.data)
+                raise SdoAbort(aborts.LENGTH)
+            self._dictionary.download_value(transfer.index, transfer.sub, transfer.data)
             self._transfer = None
         self._reply(answer)
 
-    def _upload(self, index: int, sub: int) -> None:
+    def _start_upload(self, index: int, sub: int) -> None:
         self._transfer = None
-        value = self._dictionary.upload(index, sub)
+        value = self._dictionary.upload_value(index, sub)
         head = [*index.to_bytes(2, "little"), sub]
         if 0 < len(value) <= 4:
             self._reply(bytes([0x43 | (4 - len(value)) << 2, *head]) + value.ljust(4, b"\0"))
         else:
-            self._transfer = _Segmented(True, index, sub, value)
+            self._transfer = _SegmentedTransfer(True, index, sub, value)
             self._reply(bytes([0x41, *head]) + len(value).to_bytes(4, "little"))
 
     def _upload_segment(self, data: bytes) -> None:
         transfer = self._require_segmented(up=True)
         if data[0] >> 4 & 1 != transfer.toggle:
-            raise Abort(aborts.TOGGLE)
+            raise SdoAbort(aborts.TOGGLE)
         part, transfer.data = transfer.data[:SEGMENT_BYTES], transfer.data[SEGMENT_BYTES:]
         last = not transfer.data
         head = transfer.toggle << 4 | (SEGMENT_BYTES - len(part)) << 1 | last
@@ -160,10 +167,10 @@ class SdoServer:
             self._transfer = None
         self._reply(bytes([head]) + part.ljust(SEGMENT_BYTES, b"\0"))
 
-    def _require_segmented(self, up: bool) -> _Segmented:
+    def _require_segmented(self, up: bool) -> _SegmentedTransfer:
         transfer = self._transfer
-        if not isinstance(transfer, _Segmented) or transfer.up != up:
-            raise Abort(aborts.COMMAND)
+        if not isinstance(transfer, _SegmentedTransfer) or transfer.up != up:
+            raise SdoAbort(aborts.COMMAND)
         return transfer
 
     # Blocks to the client
@@ -171,11 +178,11 @@ class SdoServer:
     def _block_upload(self, data: bytes, index: int, sub: int) -> None:
         step = data[0] & 3
         if step == 0:
-            value = self._dictionary.upload(index, sub)
+            value = self._dictionary.upload_value(index, sub)
             segments = data[4]
             if not 1 <= segments <= BLOCK_SEGMENTS:
-                raise Abort(aborts.BLOCK_SIZE)
-            self._transfer = _Block(True, index, sub, value, segments=segments, crc=bool(data[0] & 4))
+                raise SdoAbort(aborts.BLOCK_SIZE)
+            self._transfer = _BlockTransfer(True, index, sub, value, segments=segments, crc=bool(data[0] & 4))
             self._reply(bytes([0xC6, *data[1:4]]) + len(value).to_bytes(4, "little"))
             return
         transfer = self._require_block(up=True)
@@ -183,13 +190,13 @@ class SdoServer:
             transfer.begun = True
             self._send_block(transfer)
         elif step == 2 and transfer.begun:
-            self._block_taken(transfer, data[1], data[2])
+            self._acknowledge_block(transfer, data[1], data[2])
         elif step == 1 and transfer.ending:
             self._transfer = None
         else:
-            raise Abort(aborts.COMMAND)
+            raise SdoAbort(aborts.COMMAND)
 
-    def _send_block(self, transfer: _Block) -> None:
+    def _send_block(self, transfer: _BlockTransfer) -> None:
         for number in range(transfer.segments):
             begin = transfer.at + number * SEGMENT_BYTES
             last = begin + SEGMENT_BYTES >= len(transfer.data)
@@ -199,12 +206,12 @@ class SdoServer:
             if last:
                 break
 
-    def _block_taken(self, transfer: _Block, sequence: int, segments: int) -> None:
+    def _acknowledge_block(self, transfer: _BlockTransfer, sequence: int, segments: int) -> None:
         if sequence > transfer.sequence:
-            raise Abort(aborts.SEQUENCE)
+            raise SdoAbort(aborts.SEQUENCE)
         if not 1 <= segments <= BLOCK_SEGMENTS:
-            raise Abort(aborts.BLOCK_SIZE)
-        # What the client has not got is sent again, with what follows it.
+            raise SdoAbort(aborts.BLOCK_SIZE)
+        # Segments that the client has not received are sent again, together with those that follow.
         transfer.at += sequence * SEGMENT_BYTES
         transfer.segments = segments
         if transfer.at < len(transfer.data):
@@ -221,25 +228,25 @@ class SdoServer:
         if data[0] & 1:
             self._end_block_download(data)
             return
-        entry = self._dictionary.entry(index, sub)
+        entry = self._dictionary.find_entry(index, sub)
         if not entry.writable:
-            raise Abort(aborts.READ_ONLY)
+            raise SdoAbort(aborts.READ_ONLY)
         size = int.from_bytes(data[4:8], "little") if data[0] & 2 else None
         if size is not None and size > LONGEST_BYTES:
-            raise Abort(aborts.TOO_LONG)
-        self._transfer = _Block(False, index, sub, size=size, crc=bool(data[0] & 4), begun=True)
+            raise SdoAbort(aborts.TOO_LONG)
+        self._transfer = _BlockTransfer(False, index, sub, size=size, crc=bool(data[0] & 4), begun=True)
         self._reply(bytes([0xA4, *data[1:4], BLOCK_SEGMENTS, 0, 0, 0]))
 
-    def _block_segment(self, transfer: _Block, data: bytes) -> None:
+    def _block_segment(self, transfer: _BlockTransfer, data: bytes) -> None:
         number, last = data[0] & 0x7F, data[0] >> 7
         if number == 0:
-            raise Abort(aborts.SEQUENCE)
+            raise SdoAbort(aborts.SEQUENCE)
         wanted = number == transfer.sequence + 1
         if wanted:
             transfer.sequence = number
             transfer.data += data[1:8]
         if len(transfer.data) > LONGEST_BYTES + SEGMENT_BYTES:
-            raise Abort(aborts.TOO_LONG)
+            raise SdoAbort(aborts.TOO_LONG)
         if last or number >= BLOCK_SEGMENTS:
             self._reply(bytes([0xA2, transfer.sequence, BLOCK_SEGMENTS, 0, 0, 0, 0, 0]))
             transfer.sequence = 0
@@ -248,18 +255,18 @@ class SdoServer:
     def _end_block_download(self, data: bytes) -> None:
         transfer = self._require_block(up=False)
         if not transfer.ending:
-            raise Abort(aborts.COMMAND)
+            raise SdoAbort(aborts.COMMAND)
         value = transfer.data[: len(transfer.data) - (data[0] >> 2 & 7)]
         if transfer.crc and int.from_bytes(data[1:3], "little") != binascii.crc_hqx(value, 0):
-            raise Abort(aborts.CRC)
+            raise SdoAbort(aborts.CRC)
         if transfer.size is not None and len(value) != transfer.size:
-            raise Abort(aborts.LENGTH)
-        self._dictionary.download(transfer.index, transfer.sub, value)
+            raise SdoAbort(aborts.LENGTH)
+        self._dictionary.download_value(transfer.index, transfer.sub, value)
         self._transfer = None
         self._reply(bytes([0xA1, 0, 0, 0, 0, 0, 0, 0]))
 
-    def _require_block(self, up: bool) -> _Block:
+    def _require_block(self, up: bool) -> _BlockTransfer:
         transfer = self._transfer
-        if not isinstance(transfer, _Block) or transfer.up != up:
-            raise Abort(aborts.COMMAND)
+        if not isinstance(transfer, _BlockTransfer) or transfer.up != up:
+            raise SdoAbort(aborts.COMMAND)
         return transfer

@@ -10,8 +10,8 @@ Leave = Literal["at once", "slow down", "quick stop"]
 FAULT_RESET = 0x80
 
 
-class State(Enum):
-    """With the bits 0-3, 5 and 6 of the statusword."""
+class PowerState(Enum):
+    """Power states, with the bits 0-3, 5 and 6 of the statusword."""
 
     NOT_READY = 0x00
     DISABLED = 0x40
@@ -23,26 +23,26 @@ class State(Enum):
     FAULT = 0x08
 
 
-POWERED = (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION)
-"""States in which the motor is held."""
+POWERED = (PowerState.ENABLED, PowerState.QUICK_STOP, PowerState.FAULT_REACTION)
+"""States in which the motor keeps torque."""
 
-_WITHOUT_MOTION: dict[tuple[State, Command], State] = {
-    (State.DISABLED, "shutdown"): State.READY,
-    (State.READY, "switch on"): State.ON,
-    (State.READY, "enable operation"): State.ENABLED,
-    (State.READY, "disable voltage"): State.DISABLED,
-    (State.READY, "quick stop"): State.DISABLED,
-    (State.ON, "enable operation"): State.ENABLED,
-    (State.ON, "shutdown"): State.READY,
-    (State.ON, "disable voltage"): State.DISABLED,
-    (State.ON, "quick stop"): State.DISABLED,
-    (State.ENABLED, "disable voltage"): State.DISABLED,
-    (State.QUICK_STOP, "disable voltage"): State.DISABLED,
+_WITHOUT_MOTION: dict[tuple[PowerState, Command], PowerState] = {
+    (PowerState.DISABLED, "shutdown"): PowerState.READY,
+    (PowerState.READY, "switch on"): PowerState.ON,
+    (PowerState.READY, "enable operation"): PowerState.ENABLED,
+    (PowerState.READY, "disable voltage"): PowerState.DISABLED,
+    (PowerState.READY, "quick stop"): PowerState.DISABLED,
+    (PowerState.ON, "enable operation"): PowerState.ENABLED,
+    (PowerState.ON, "shutdown"): PowerState.READY,
+    (PowerState.ON, "disable voltage"): PowerState.DISABLED,
+    (PowerState.ON, "quick stop"): PowerState.DISABLED,
+    (PowerState.ENABLED, "disable voltage"): PowerState.DISABLED,
+    (PowerState.QUICK_STOP, "disable voltage"): PowerState.DISABLED,
 }
 
 
-def command(word: int) -> Command:
-    """What bits 0-3 of a controlword order."""
+def decode_command(word: int) -> Command:
+    """Decode the command in bits 0-3 of a controlword."""
     if not word & 2:
         return "disable voltage"
     if not word & 4:
@@ -53,48 +53,51 @@ def command(word: int) -> Command:
 
 
 class PowerStates:
-    """option: value of an option code object. stop: bring the motor to rest in the way given, then call back.
-    changed: the state is another one; gets the one before.
+    """State machine of the power stage.
+
+    option: returns the value of an option code object.
+    stop: stops the motor in the given way, then calls back.
+    changed: called after a change of state, with the previous one.
     """
 
     def __init__(
         self,
         option: Callable[[int], int],
         stop: Callable[[Leave, Callable[[], None]], None],
-        changed: Callable[[State], None],
+        changed: Callable[[PowerState], None],
         voltage: Callable[[], bool],
     ) -> None:
-        self.state = State.NOT_READY
+        self.state = PowerState.NOT_READY
         self._option = option
         self._stop = stop
         self._changed = changed
         self._voltage = voltage
-        self._leaving: State | None = None
+        self._leaving: PowerState | None = None
         self._resetting = False
 
-    def enter(self, state: State) -> None:
+    def enter_state(self, state: PowerState) -> None:
         self._leaving = None
         if state is not self.state:
             before, self.state = self.state, state
             self._changed(before)
 
-    def order(self, word: int) -> None:
-        """A controlword."""
+    def handle_controlword(self, word: int) -> None:
+        """Process a controlword."""
         reset, self._resetting = bool(word & FAULT_RESET) and not self._resetting, bool(word & FAULT_RESET)
-        state, wanted = self.state, command(word)
-        if state is State.FAULT:
+        state, wanted = self.state, decode_command(word)
+        if state is PowerState.FAULT:
             if reset:
-                self.enter(State.DISABLED)
+                self.enter_state(PowerState.DISABLED)
             return
         if wanted in ("shutdown", "switch on", "enable operation") and not self._voltage():
             return
         after = _WITHOUT_MOTION.get((state, wanted))
         if after is not None:
-            self.enter(after)
-        elif state is State.ENABLED:
+            self.enter_state(after)
+        elif state is PowerState.ENABLED:
             self._leave_enabled(wanted)
-        elif state is State.QUICK_STOP and wanted == "enable operation" and self._option(0x605A) in (5, 6):
-            self.enter(State.ENABLED)
+        elif state is PowerState.QUICK_STOP and wanted == "enable operation" and self._option(0x605A) in (5, 6):
+            self.enter_state(PowerState.ENABLED)
 
     def _leave_enabled(self, wanted: Command) -> None:
         if wanted == "quick stop":
@@ -102,44 +105,44 @@ class PowerStates:
         elif wanted == "enable operation":
             self._leaving = None
         elif self._leaving is None:
-            index, target = (0x605B, State.READY) if wanted == "shutdown" else (0x605C, State.ON)
+            index, target = (0x605B, PowerState.READY) if wanted == "shutdown" else (0x605C, PowerState.ON)
             self._leaving = target
-            self._stop("slow down" if self._option(index) == 1 else "at once", self._left)
+            self._stop("slow down" if self._option(index) == 1 else "at once", self._finish_leaving)
 
-    def _left(self) -> None:
+    def _finish_leaving(self) -> None:
         if self._leaving is not None:
-            self.enter(self._leaving)
+            self.enter_state(self._leaving)
 
     def quick_stop(self) -> None:
         """Transition 11."""
         code = self._option(0x605A)
         if code == 0:
-            self.enter(State.DISABLED)
+            self.enter_state(PowerState.DISABLED)
             return
-        self.enter(State.QUICK_STOP)
-        self._stop("slow down" if code in (1, 5) else "quick stop", self._quickly_stopped)
+        self.enter_state(PowerState.QUICK_STOP)
+        self._stop("slow down" if code in (1, 5) else "quick stop", self._finish_quick_stop)
 
-    def _quickly_stopped(self) -> None:
-        if self.state is State.QUICK_STOP and self._option(0x605A) not in (5, 6):
-            self.enter(State.DISABLED)
+    def _finish_quick_stop(self) -> None:
+        if self.state is PowerState.QUICK_STOP and self._option(0x605A) not in (5, 6):
+            self.enter_state(PowerState.DISABLED)
 
-    def fault(self) -> None:
+    def enter_fault(self) -> None:
         """Transition 13."""
-        if self.state in (State.FAULT, State.FAULT_REACTION):
+        if self.state in (PowerState.FAULT, PowerState.FAULT_REACTION):
             return
         powered = self.state in POWERED
-        self.enter(State.FAULT_REACTION)
+        self.enter_state(PowerState.FAULT_REACTION)
         code = self._option(0x605E)
         if not powered or code == 0:
-            self._faulted()
+            self._finish_fault()
         else:
-            self._stop("slow down" if code == 1 else "quick stop", self._faulted)
+            self._stop("slow down" if code == 1 else "quick stop", self._finish_fault)
 
-    def _faulted(self) -> None:
-        if self.state is State.FAULT_REACTION:
-            self.enter(State.FAULT)
+    def _finish_fault(self) -> None:
+        if self.state is PowerState.FAULT_REACTION:
+            self.enter_state(PowerState.FAULT)
 
     def lose_voltage(self) -> None:
-        """The power stage has no voltage any more."""
-        if self.state not in (State.NOT_READY, State.FAULT, State.FAULT_REACTION):
-            self.enter(State.DISABLED)
+        """Handle the loss of the power stage's voltage."""
+        if self.state not in (PowerState.NOT_READY, PowerState.FAULT, PowerState.FAULT_REACTION):
+            self.enter_state(PowerState.DISABLED)

@@ -1,1 +1,1 @@
-"""What every simulated controller has: its face, its oscillator, its truth, its vector bench."""
+"""Parts that all simulated controllers share: interface, oscillator, ground truth and vector bench."""

@@ -1,9 +1,9 @@
-"""The face of a simulated controller: bytes on ports, a physical world around it, and the truth about its motion.
+"""Interface of a simulated controller: bytes on ports, its physical environment, and the ground truth of its motion.
 
-A simulated controller is driven by a `Clock` alone: it never reads another time and never sleeps. It takes
-bytes (`Connection.receive`, called at the instant when the last of them has arrived at its port), and sends
-bytes (`send`, called at the instant when the first of them leaves its port). Wires, with their baud rates and
-latencies, are not its business. It is written from the manual alone.
+A simulated controller is driven by a `Clock` alone: it never reads another time and never sleeps. It takes bytes
+(`PortConnection.receive`, called at the instant when the last of them has arrived at its port), and sends bytes
+(`send`, called at the instant when the first of them leaves its port). Cables, with their baud rates and latencies, are
+modelled elsewhere. Each simulator is written from the manual alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,20 +14,20 @@ from orchestrator.clock.base import Clock
 from orchestrator.link.supply import Supply
 from sim.core.oscillator import Oscillator
 
-Send = Callable[[bytes], None]
+SendBytes = Callable[[bytes], None]
 LimitSwitch = Literal["forward", "reverse", "both", "none"]
 
 
 class PortRefused(Exception):
-    """The controller does not take this connection (no such port, or no handle is left). Says why."""
+    """The controller rejects this connection (no such port, or no free handle); the message states the reason."""
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
-    """How long the firmware takes. All zero (the default) for test vectors; real fleets give real figures.
+class FirmwareTiming:
+    """Processing time of the firmware. All zero (the default) for test vectors; real fleets give real figures.
 
-    decode_ns: from the end of a command's bytes to its effect and reply. spread_ns: a uniform extra
-    delay of 0 to this much, drawn from the controller's seeded generator for each command.
+    decode_ns: from the end of a command's bytes to its effect and reply.
+    spread_ns: a uniform extra delay of 0 to this value, drawn from the controller's seeded generator for each command.
     """
 
     decode_ns: int = 0
@@ -35,10 +35,11 @@ class Timing:
 
 
 @dataclass(slots=True)
-class Motion:
-    """One commanded motion of one axis, in true time, as the profile generator really made it.
+class CommandedMotion:
+    """One commanded motion of one axis, in true time, exactly as the profile generator made it.
 
-    start_ns: the time origin of the profile. end_ns: its last commanded change; None while it runs.
+    start_ns: the time origin of the profile.
+    end_ns: its last commanded change; None while it runs.
     slowing_ns: when the profile generator began to slow down because of a stop (a command, a limit); None without one.
     Positions are in the make's own counts.
     """
@@ -51,194 +52,203 @@ class Motion:
     slowing_ns: int | None = None
 
 
-class Connection(Protocol):
+class PortConnection(Protocol):
     """One open connection to one port of the controller."""
 
     @property
     def supply(self) -> Supply:
-        """Of whoever this port belongs to: power that is lost cuts off what it says. Without, if it hangs up then."""
+        """Power supply of the device that owns this port. Loss of power cuts off its output; without power the
+        connection closes if the port does so."""
         ...
 
     def receive(self, data: bytes) -> None:
-        """`data` has arrived, now."""
+        """Process `data`, which arrives now."""
         ...
 
     def close(self) -> None:
-        """The other side has gone."""
+        """Handle the disconnection of the other end."""
         ...
 
 
 class SimulatedController(Protocol):
-    """A controller in its physical world. Axis names are the make's own (`X`, `Y`, … or `1`, `2`, …)."""
+    """A controller in its physical environment. Axis names are the make's own (`X`, `Y`, … or `1`, `2`, …)."""
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        """Names of the ports that `connect` takes, e.g. `("tcp", "serial")`; the first one is the usual one."""
+    def port_names(self) -> tuple[str, ...]:
+        """Names of the ports that `connect` accepts, e.g. `("tcp", "serial")`; the first one is the default."""
         ...
 
     @property
-    def axes(self) -> tuple[str, ...]: ...
+    def axis_names(self) -> tuple[str, ...]: ...
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
-        """Open a port. `send` takes what the controller emits; `closed` is called when the controller hangs up.
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
+        """Open a port. `send` receives the bytes that the controller emits; `closed` is called when the controller
+        disconnects.
 
         Raises `PortRefused`.
         """
         ...
 
-    # The physical world, changed from outside at the present instant.
+    # Physical environment, changed from outside at the present instant.
 
     def set_power(self, on: bool) -> None:
-        """Off: motion stops dead, connections drop, volatile state is lost. On: power-up as the manual says."""
+        """Switch the power. Off: motion stops dead, connections drop, volatile state is lost. On: power-up as in the
+        manual."""
         ...
 
     def set_input(self, number: int, level: bool) -> None: ...
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
-        """Which limit switches of the axis are pressed from outside, whatever its travel says; with `none` that holds
-        again."""
+        """Press limit switches of the axis from outside, independent of its travel; `none` restores the travel's own
+        state."""
         ...
 
     def set_stalled(self, axis: str, stalled: bool) -> None:
-        """A stalled axis does not follow its command."""
+        """Stall or free an axis. A stalled axis does not follow its command."""
         ...
 
-    def push(self, axis: str, counts: int) -> None:
-        """Somebody moves an axis that nothing holds by hand, by so many counts (motor steps where a make has units).
+    def push_axis(self, axis: str, counts: int) -> None:
+        """Move an unpowered axis by hand, by `counts` (motor steps where a make has units).
 
-        An encoder sees it; where the motor's own steps are all that is counted, nobody does. Raises `ValueError` when
-        the motor holds the axis.
+        An encoder detects it; a make that only counts its own motor steps does not. Raises `ValueError` when the motor
+        keeps torque on the axis.
         """
         ...
 
-    def output(self, number: int) -> bool: ...
+    def output_level(self, number: int) -> bool: ...
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
-        """Call `listener(number, level)` whenever an output changes."""
+        """Call `listener(number, level)` on every change of an output."""
         ...
 
-    # The truth, for tests and verdicts; no client of the wire can see it.
+    # Ground truth, for tests and verdicts; not visible to clients.
 
     def position(self, axis: str) -> float:
         """Commanded position now, in counts of the make."""
         ...
 
-    def place(self, axis: str) -> float:
-        """Where the axis stands in the world, in counts from where it was built: the same whatever its position is
-        called, and after a power cycle."""
+    def physical_position(self, axis: str) -> float:
+        """Physical position of the axis in counts from where it was built: independent of the position register and of
+        power cycles."""
         ...
 
     def velocity(self, axis: str) -> float:
         """Commanded velocity now, in counts per true second."""
         ...
 
-    def moving(self, axis: str) -> bool:
-        """Whether the profile generator commands motion now."""
+    def is_moving(self, axis: str) -> bool:
+        """Return whether the profile generator commands motion now."""
         ...
 
     def at_rest(self) -> bool:
-        """No axis moves, no program runs, nothing is queued that would move by itself."""
+        """Return whether no axis moves, no program runs, and nothing queued would move by itself."""
         ...
 
     @property
-    def motions(self) -> Sequence[Motion]:
-        """Every commanded motion since it was built, in order of start (power cycles included)."""
+    def commanded_motions(self) -> Sequence[CommandedMotion]:
+        """Every commanded motion since construction, in order of start (power cycles included)."""
         ...
 
 
 class Simulator(Protocol):
-    """One model that can be simulated: what the entry points of group `tutti.simulators` name."""
+    """One model that can be simulated: the object that an entry point of group `tutti.simulators` refers to."""
 
     @property
     def model(self) -> str: ...
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> SimulatedController:
-        """A powered-up controller. `options` are the model's own; `ValueError` names a wrong one, and the allowed."""
+        """Build a powered-up controller. `options` are the model's own; `ValueError` names a wrong one and lists the
+        allowed ones."""
         ...
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> "VectorBench":
-        """The same, ideal in time, with the handles that test vectors need."""
+        """Build the same controller, ideal in time, with the handles that test vectors need."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Branch:
-    """One unit to be built, with the fields of `Simulator.build`. address: on the line that it shares, None when it has
-    one for itself."""
+class DeviceSpec:
+    """One device to be built, with the fields of `Simulator.build`.
+
+    address: on the line that it shares; None when it has its own line."""
 
     address: int | None
     options: Mapping[str, object]
     oscillator: Oscillator
-    timing: Timing
+    timing: FirmwareTiming
     seed: int
 
 
-class Port(Protocol):
-    """Where a wire ends: a controller, or a line that several share."""
+class LineEndpoint(Protocol):
+    """End point of a cable: a controller, or a line that several share."""
 
     @property
-    def ports(self) -> tuple[str, ...]: ...
+    def port_names(self) -> tuple[str, ...]: ...
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
-        """Raises `PortRefused`."""
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
+        """Open a port. Raises `PortRefused`."""
         ...
 
 
 @runtime_checkable
 class SharingSimulator(Protocol):
-    """A `Simulator` of a model whose units can share a line, addressed one by one."""
+    """A `Simulator` of a model whose devices can share a line, addressed one by one."""
 
-    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Port, Sequence[SimulatedController]]:
-        """The line's end, and the powered-up units on it, in their order from the host. `ValueError` names a wrong
-        option, and the allowed."""
+    def build_shared(
+        self, clock: Clock, devices: Sequence[DeviceSpec]
+    ) -> tuple[LineEndpoint, Sequence[SimulatedController]]:
+        """Build the line's end point and its powered-up devices, in their order from the host. `ValueError` names a
+        wrong option and lists the allowed ones."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLine:
-    """What is at the far end of a wire. units: by name."""
+    """The far end of a cable.
 
-    far: Port
-    units: Mapping[str, SimulatedController]
+    units: the devices, by name."""
+
+    endpoint: LineEndpoint
+    devices: Mapping[str, SimulatedController]
 
 
-def build_line(model: Simulator, clock: Clock, units: Mapping[str, Branch]) -> SimulatedLine:
-    """The units of one line, by their names. `ValueError` names a wrong option, or a model that can not share."""
-    branches = list(units.values())
+def build_line(model: Simulator, clock: Clock, devices: Mapping[str, DeviceSpec]) -> SimulatedLine:
+    """Build the devices of one line, by name. `ValueError` names a wrong option, or a model that cannot share it."""
+    branches = list(devices.values())
     if any(branch.address is not None for branch in branches):
         if not isinstance(model, SharingSimulator):
-            raise ValueError(f"units of the model {model.model} can not share a line")
+            raise ValueError(f"controllers of the model {model.model} cannot share a line; give each its own link")
         far, built = model.build_shared(clock, branches)
-        return SimulatedLine(far, dict(zip(units, built, strict=True)))
-    (name,) = units
+        return SimulatedLine(far, dict(zip(devices, built, strict=True)))
+    (name,) = devices
     (one,) = branches
-    alone = model.build(clock, one.options, oscillator=one.oscillator, timing=one.timing, seed=one.seed)
+    alone = model.build_controller(clock, one.options, oscillator=one.oscillator, timing=one.timing, seed=one.seed)
     return SimulatedLine(alone, {name: alone})
 
 
 class VectorBench(Protocol):
-    """What the vector runner needs beyond the controller itself."""
+    """Interface that the vector runner needs in addition to the controller."""
 
     @property
     def controller(self) -> SimulatedController: ...
 
     @property
-    def port(self) -> str:
-        """The port that the vector's bytes go to."""
+    def port_name(self) -> str:
+        """The port that receives the vector's bytes."""
         ...
 
-    def given(self, truth: Mapping[str, object]) -> None:
-        """Bring about the physical truth of a vector's `given` or of a `setup` step; `ValueError` if unknown."""
+    def apply_given(self, state: Mapping[str, object]) -> None:
+        """Set up the ground truth of a vector's `given` or of a `setup` step; `ValueError` if unknown."""
         ...
 
-    def refused(self, reply: bytes) -> bool:
-        """Whether `reply` is this make's refusal."""
+    def is_refusal(self, reply: bytes) -> bool:
+        """Return whether `reply` is this make's refusal."""
         ...

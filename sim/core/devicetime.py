@@ -1,4 +1,4 @@
-"""A unit's own time: nanoseconds of its crystal, and calls at an instant of it."""
+"""Local time of a device: nanoseconds of its crystal, and timers on that time."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ _RATE_SPAN_NS = 100_000_000
 
 
 class _FarTimer:
-    """A call more than a stride ahead: goes there in strides.
+    """A timer more than a stride ahead, reached in strides.
 
-    A wandering crystal is computed second by second up to the instant asked for. Motions and programs set calls that
-    may be years ahead and are mostly cancelled long before; asking for their true instants now would compute, and
-    keep, all those seconds.
+    A wandering crystal is computed second by second up to the instant requested. Motions and programs set timers that
+    may be years ahead and are usually cancelled long before; their true instants, computed now, would cost and keep all
+    those seconds.
     """
 
     def __init__(self, time: "DeviceTime", at_ns: int, callback: Callable[[], None]) -> None:
@@ -23,13 +23,15 @@ class _FarTimer:
         self._at_ns = at_ns
         self._callback = callback
         self._timer: Timer
-        self._stride()
+        self._advance_stride()
 
-    def _stride(self) -> None:
+    def _advance_stride(self) -> None:
         now_ns = self._time.now_ns()
         far = self._at_ns - now_ns > _STRIDE_NS
         at_ns = now_ns + _STRIDE_NS if far else self._at_ns
-        self._timer = self._time.clock.call_at_ns(self._time.true_ns(at_ns), self._stride if far else self._callback)
+        self._timer = self._time.clock.call_at_ns(
+            self._time.true_ns(at_ns), self._advance_stride if far else self._callback
+        )
 
     def cancel(self) -> None:
         self._timer.cancel()
@@ -37,20 +39,21 @@ class _FarTimer:
 
 @dataclass(frozen=True, slots=True)
 class DeviceTime:
-    """Device time of one unit, in nanoseconds of its crystal. Every instant here is of that time unless called true.
+    """Local time of one device, in nanoseconds of its crystal. Every instant here is local unless called true.
 
-    clock: true time. oscillator: the unit's crystal against it.
+    clock: true time.
+    oscillator: the device's crystal relative to it.
     """
 
     clock: Clock
     oscillator: Oscillator
 
     def now_ns(self) -> int:
-        """The present device instant."""
+        """Current device time."""
         return self.oscillator.device_ns(self.clock.now_ns())
 
     def true_ns(self, at_ns: int) -> int:
-        """The true instant of device instant `at_ns`, which should not be far ahead."""
+        """Convert device instant `at_ns`, which should not be far ahead, to true time."""
         return self.oscillator.true_ns(at_ns)
 
     def call_at(self, at_ns: int, callback: Callable[[], None]) -> Timer:
@@ -60,11 +63,11 @@ class DeviceTime:
         return self.clock.call_at_ns(self.true_ns(at_ns), callback)
 
     def call_after(self, delay_ns: int, callback: Callable[[], None]) -> Timer:
-        """Call back `delay_ns` of device time from now, however long that is."""
+        """Call back after `delay_ns` of device time, of any length."""
         return self.call_at(self.now_ns() + delay_ns, callback)
 
-    def rate(self) -> float:
-        """Device seconds per true second, now."""
+    def clock_rate(self) -> float:
+        """Current rate in device seconds per true second."""
         now_ns = self.clock.now_ns()
         oscillator = self.oscillator
         return (oscillator.device_ns(now_ns + _RATE_SPAN_NS) - oscillator.device_ns(now_ns)) / _RATE_SPAN_NS

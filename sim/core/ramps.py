@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 TINY = 1e-9
-"""Displacements this close are the same."""
+"""Displacements closer than this are equal."""
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class RampSegment:
     """Constant acceleration `a` from time `t` on, starting at displacement `x` with velocity `v`."""
 
     t: float
@@ -22,45 +22,47 @@ class Segment:
         dt = t - self.t
         return self.x + (self.v + 0.5 * self.a * dt) * dt
 
-    def points(self, sign: int) -> bool:
-        """Whether the motion in it has direction `sign`."""
+    def moves_in_direction(self, sign: int) -> bool:
+        """Return whether the segment moves in direction `sign`."""
         return sign * self.v > 0 or (self.v == 0 and sign * self.a > 0)
 
-    def reach(self, distance: float) -> float:
-        """Time into the segment after which `distance` is covered."""
+    def time_to_cover(self, distance: float) -> float:
+        """Return the time into the segment after which `distance` is covered."""
         if self.a == 0.0:
             return distance / self.v
         root = math.sqrt(max(0.0, self.v * self.v + 2.0 * self.a * distance))
-        # The form that does not cancel: 2d / (v ± root), with the root's sign that of the motion.
+        # This form avoids cancellation: 2d / (v ± root), with the root's sign that of the motion.
         return 2.0 * distance / (self.v + math.copysign(root, self.v or self.a))
 
 
-def first_at(segments: Sequence[Segment], duration: float, bound: float, sign: int, after: float) -> float | None:
-    """First time >= `after` at or beyond `bound` in direction `sign` while moving in that direction.
+def first_at(segments: Sequence[RampSegment], duration: float, bound: float, sign: int, after: float) -> float | None:
+    """Return the first time >= `after` at or beyond `bound` in direction `sign` while moving in that direction.
 
     No segment reverses; the last one ends at `duration`.
     """
-    for segment, until in _pointing(segments, duration, sign, after):
+    for segment, until in _segments_in_direction(segments, duration, sign, after):
         begin = max(after, segment.t)
         if sign * (segment.x_at(begin) - bound) >= -TINY:
             return begin
         if math.isinf(until):
-            return segment.t + segment.reach(bound - segment.x)
+            return segment.t + segment.time_to_cover(bound - segment.x)
         if sign * (segment.x_at(until) - bound) >= -TINY:
-            return min(until, segment.t + segment.reach(bound - segment.x))
+            return min(until, segment.t + segment.time_to_cover(bound - segment.x))
     return None
 
 
-def first_toward(segments: Sequence[Segment], duration: float, sign: int, after: float) -> float | None:
-    """First time >= `after` with motion in direction `sign`."""
-    for segment, _ in _pointing(segments, duration, sign, after):
+def first_toward(segments: Sequence[RampSegment], duration: float, sign: int, after: float) -> float | None:
+    """Return the first time >= `after` with motion in direction `sign`."""
+    for segment, _ in _segments_in_direction(segments, duration, sign, after):
         return max(after, segment.t)
     return None
 
 
-def _pointing(segments: Sequence[Segment], duration: float, sign: int, after: float) -> Iterator[tuple[Segment, float]]:
-    """The segments in direction `sign` that are not over at `after`, each with its end."""
+def _segments_in_direction(
+    segments: Sequence[RampSegment], duration: float, sign: int, after: float
+) -> Iterator[tuple[RampSegment, float]]:
+    """Yield the segments in direction `sign` that end later than `after`, each with its end."""
     ends = [segment.t for segment in segments[1:]] + [duration]
     for segment, until in zip(segments, ends, strict=True):
-        if until > after and segment.points(sign):
+        if until > after and segment.moves_in_direction(sign):
             yield segment, until

@@ -1,7 +1,7 @@
-"""A TCP serial bridge: the serial port of a simulated controller behind a listening socket.
+"""TCP serial bridge: the serial port of a simulated controller at a listening socket.
 
-As device servers in their raw mode with several connections do it: what any client sends goes to the line, in the
-order in which it comes, and what the controller sends goes to all clients. Both directions are paced as on the line.
+It works as device servers do in raw mode with several connections: bytes of any client go to the line in order of
+arrival, and bytes of the controller go to all clients. Both directions are paced like the line.
 """
 
 import asyncio
@@ -9,19 +9,19 @@ import contextlib
 import socket
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from sim.core.controller import Connection, Port, PortRefused
+from sim.core.controller import LineEndpoint, PortConnection, PortRefused
 from sim.link.pacing import PacedLine
 
 PORT = "serial"
 
-# As many bytes as the bridge keeps for the line; more wait in the clients' own buffers.
+# Bytes that the bridge buffers for the line; more wait in the clients' own buffers.
 UNSENT_BYTES = 4096
 
-# What a client has not taken: a bridge drops the connection then, and not the line.
+# Bytes that a client has not read: beyond this the bridge drops the connection, and not the line.
 UNREAD_BYTES = 65536
 
 
-class _Client(asyncio.Protocol):
+class _BridgeClient(asyncio.Protocol):
     """One connection to the bridge."""
 
     def __init__(self, bridge: "BridgeServer") -> None:
@@ -36,13 +36,13 @@ class _Client(asyncio.Protocol):
         self._bridge.clients.append(self)
 
     def data_received(self, data: bytes) -> None:
-        self._bridge.heard(data)
+        self._bridge.forward_to_line(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         del exc
         self._bridge.clients.remove(self)
 
-    def send(self, data: bytes) -> None:
+    def send_bytes(self, data: bytes) -> None:
         assert self.transport is not None
         if self.transport.is_closing():
             return
@@ -53,39 +53,42 @@ class _Client(asyncio.Protocol):
 
 
 class BridgeServer:
-    """Serves the serial port of `controller` at a TCP port. Made by `listen_bridge`. `bits`: of one character."""
+    """Serve the serial port of `controller` at a TCP port. Made by `listen_bridge`.
 
-    def __init__(self, controller: Port, clock: Clock, baud: int, bits: int) -> None:
+    bits: of one character."""
+
+    def __init__(self, controller: LineEndpoint, clock: Clock, baud: int, bits: int) -> None:
         self._controller = controller
         self._clock = clock
         self._char_ns = bits * NS_PER_S // baud
-        self._in = PacedLine(clock, self._char_ns, self._arrive)
-        self._out = PacedLine(clock, self._char_ns, self._leave)
-        self._far: Connection | None = None
+        self._in = PacedLine(clock, self._char_ns, self._deliver_to_controller)
+        self._out = PacedLine(clock, self._char_ns, self._send_to_clients)
+        self._far: PortConnection | None = None
         self._held_up = False
         self._server: asyncio.Server | None = None
-        self.clients: list[_Client] = []
-        self.reconnect()
+        self.clients: list[_BridgeClient] = []
+        self.restore_link()
 
-    async def listen(self, host: str, port: int) -> None:
+    async def open_port(self, host: str, port: int) -> None:
         """Open the port; 0 takes a free one. Raises `OSError`."""
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Client(self), host, port)
+        self._server = await loop.create_server(lambda: _BridgeClient(self), host, port)
 
     @property
-    def ready(self) -> dict[str, object]:
-        """Where it is, for the ready line."""
+    def ready_fields(self) -> dict[str, object]:
+        """Address fields for the ready line."""
         assert self._server is not None
         host, port = self._server.sockets[0].getsockname()[:2]
         return {"place": f"tcp {host}:{port}", "kind": "tcp", "host": host, "port": port}
 
-    def reconnect(self) -> None:
-        """A wire is still plugged in when the controller comes back from a power cycle, without what it was saying."""
+    def restore_link(self) -> None:
+        """Reconnect after a power cycle of the controller: the cable is still plugged in, but bytes in transmission are
+        lost."""
         if self._far is not None:
-            self._out.fell_silent(self._far.supply.lost_ns)
+            self._out.cut_transmission(self._far.supply.lost_ns)
         else:
             with contextlib.suppress(PortRefused):
-                self._far = self._controller.connect(PORT, self._out.put, self._hung_up)
+                self._far = self._controller.connect(PORT, self._out.queue_bytes, self._handle_disconnect)
 
     def close(self) -> None:
         """Close the port and all connections."""
@@ -95,41 +98,43 @@ class BridgeServer:
             if client.transport is not None:
                 client.transport.close()
 
-    def heard(self, data: bytes) -> None:
-        """A client has sent `data`."""
-        self._in.put_lines(data)
+    def forward_to_line(self, data: bytes) -> None:
+        """Forward `data` from a client to the line."""
+        self._in.queue_lines(data)
         if not self._held_up and self._in.waiting >= UNSENT_BYTES:
-            self._hold_up(True)
+            self._throttle_clients(True)
 
-    def _hold_up(self, on: bool) -> None:
-        """Clients that send faster than the line takes it wait."""
+    def _throttle_clients(self, on: bool) -> None:
+        """Pause or resume clients that send faster than the line transmits."""
         self._held_up = on
         for client in self.clients:
             if client.transport is not None:
                 (client.transport.pause_reading if on else client.transport.resume_reading)()
 
-    def _arrive(self, data: bytes) -> None:
+    def _deliver_to_controller(self, data: bytes) -> None:
         if self._held_up and self._in.waiting < UNSENT_BYTES:
-            self._hold_up(False)
-        self.reconnect()
+            self._throttle_clients(False)
+        self.restore_link()
         if self._far is not None:
-            heard = self._far.supply.heard(data, self._clock.now_ns(), self._char_ns)
-            if heard:
-                self._far.receive(heard)
+            delivered = self._far.supply.heard(data, self._clock.now_ns(), self._char_ns)
+            if delivered:
+                self._far.receive(delivered)
 
-    def _leave(self, data: bytes) -> None:
+    def _send_to_clients(self, data: bytes) -> None:
         for client in list(self.clients):
-            client.send(data)
+            client.send_bytes(data)
 
-    def _hung_up(self) -> None:
+    def _handle_disconnect(self) -> None:
         self._far = None
-        self._out.fell_silent(self._clock.now_ns())
+        self._out.cut_transmission(self._clock.now_ns())
 
 
-async def listen_bridge(controller: Port, clock: Clock, host: str, port: int, baud: int, bits: int) -> BridgeServer:
+async def listen_bridge(
+    controller: LineEndpoint, clock: Clock, host: str, port: int, baud: int, bits: int
+) -> BridgeServer:
     """Serve the serial port of `controller` at `host` and `port`. Raises `PortRefused` when it has none, `OSError`."""
-    if PORT not in controller.ports:
-        raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.ports)}")
+    if PORT not in controller.port_names:
+        raise PortRefused(f"no port {PORT!r}; this model has {', '.join(controller.port_names)}")
     server = BridgeServer(controller, clock, baud, bits)
-    await server.listen(host, port)
+    await server.open_port(host, port)
     return server

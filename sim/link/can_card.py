@@ -1,7 +1,7 @@
-"""The computer's own CAN controller on a simulated bus: what a link of kind `can` leads to.
+"""The computer's own CAN controller on a simulated bus, the far end of a link of kind `can`.
 
-Its bytes are frames as `orchestrator.link.can` writes them. Error frames tell of its state; after bus-off it restarts
-by itself, as SocketCAN's does with `restart-ms`.
+Its bytes are frames as `orchestrator.link.can` writes them. Error frames report its state; after bus-off it restarts by
+itself, as SocketCAN does with `restart-ms`.
 """
 
 from collections.abc import Callable
@@ -11,18 +11,18 @@ from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame, FrameReader, encode
 from orchestrator.link.can_bus import PASSIVE_FROM, MemoryCanBus
 from orchestrator.link.supply import Supply
-from sim.core.controller import Connection, PortRefused, Send
+from sim.core.controller import PortConnection, PortRefused, SendBytes
 
 PORT = "can"
 RESTART_NS = 100 * NS_PER_MS
 
-# Of data[1] of an error frame, as linux/can/error.h has them.
+# Values of data[1] of an error frame, from linux/can/error.h.
 _NOW_PASSIVE = 0x30
 _NOW_ACTIVE = 0x40
 
 
 class CanCard:
-    """One open way from the computer to the bus; fulfils `Connection`. The computer has power."""
+    """One open connection from the computer to the bus; implements `PortConnection`. The computer has power."""
 
     supply = Supply()
 
@@ -30,16 +30,16 @@ class CanCard:
         self._bus = bus
         self._send = send
         self._reader = FrameReader()
-        self.node = bus.attach(lambda frame: send(encode(frame)), self._trouble)
+        self.node = bus.attach(lambda frame: send(encode(frame)), self._report_bus_error)
 
     def receive(self, data: bytes) -> None:
         self.node.send(*(frame for frame in self._reader.feed(data) if not frame.error))
 
     def close(self) -> None:
-        """What waits to be sent is lost."""
+        """Close the connection; frames not yet sent are lost."""
         self._bus.detach(self.node)
 
-    def _trouble(self, what: int) -> None:
+    def _report_bus_error(self, what: int) -> None:
         passive = max(self.node.transmit_errors, self.node.receive_errors) >= PASSIVE_FROM
         state = _NOW_PASSIVE if passive else _NOW_ACTIVE
         counters = [min(255, self.node.transmit_errors), min(255, self.node.receive_errors)]
@@ -49,21 +49,21 @@ class CanCard:
 
 
 class CanSegment:
-    """A bus as the end of a wire: each connection is one more node on it, a computer's."""
+    """A bus as the end point of a cable: each connection is one more node on it, a computer's."""
 
     def __init__(self, bus: MemoryCanBus) -> None:
         self.bus = bus
 
     @property
-    def ports(self) -> tuple[str, ...]:
+    def port_names(self) -> tuple[str, ...]:
         return (PORT,)
 
     @property
     def segment(self) -> "CanSegment":
         return self
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
-        """Raises `PortRefused`. A bus never hangs up."""
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
+        """Open a node. Raises `PortRefused`. A bus never disconnects."""
         del closed
         if port != PORT:
             raise PortRefused(f"no port {port!r}; a CAN bus has {PORT}")
@@ -71,8 +71,8 @@ class CanSegment:
 
 
 @runtime_checkable
-class OnCanBus(Protocol):
-    """What is reached over a CAN bus."""
+class CanDevice(Protocol):
+    """A device that is reached over a CAN bus."""
 
     @property
     def segment(self) -> CanSegment: ...

@@ -1,6 +1,6 @@
-"""A simulated CAN bus behind a pseudo-terminal, as a serial CAN adapter does it: LAWICEL's protocol, "slcan".
+"""A simulated CAN bus at a pseudo-terminal, in the protocol of a serial CAN adapter: LAWICEL's "slcan".
 
-Commands and answers are lines that end with CR; what is not understood, or can not be done, is answered with BEL.
+Commands and answers are lines that end with CR; an unknown or impossible command is answered with BEL.
 """
 
 from collections.abc import Callable
@@ -10,27 +10,27 @@ from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.can import ERROR_BUS_OFF, CanFrame
 from orchestrator.link.can_bus import CanNode, MemoryCanBus
 from orchestrator.link.supply import Supply
-from sim.core.controller import Connection, PortRefused, Send
+from sim.core.controller import PortConnection, PortRefused, SendBytes
 from sim.link.can_card import RESTART_NS, CanSegment
 from sim.link.pty import PORT, PtyServer
 
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""Of the commands S0 to S8."""
+"""Bit rates of the commands S0 to S8."""
 LONGEST_LINE = 32
 _OK, _BELL = b"\r", b"\a"
 _PASSIVE_FLAG, _ERROR_FLAG = 0x20, 0x80
 
-# Such adapters are USB devices: what paces them is the bus, not the baud rate that the port is opened with.
+# Such adapters are USB devices: the bus limits them, not the baud rate that the port is opened with.
 _BAUD = 12_000_000
 _CHARACTER_BITS = 10
 
 
-class _Adapter:
+class _SlcanAdapter:
     """One client of the adapter. It is a node of the bus while its channel is open, and has its power from the host."""
 
     supply = Supply()
 
-    def __init__(self, bus: MemoryCanBus, clock: Clock, send: Send) -> None:
+    def __init__(self, bus: MemoryCanBus, clock: Clock, send: SendBytes) -> None:
         self._bus = bus
         self._clock = clock
         self._send = send
@@ -40,11 +40,11 @@ class _Adapter:
         self._listens_only = self._stamps = self._failed = False
         self._commands: dict[bytes, Callable[[bytes], bytes]] = {
             b"S": self._set_bit_rate,
-            b"O": self._open,
-            b"L": self._listen,
-            b"C": self._shut,
+            b"O": self._open_channel,
+            b"L": self._open_listen_only,
+            b"C": self._close_channel,
             b"Z": self._set_stamps,
-            b"F": self._flags,
+            b"F": self._read_flags,
             b"V": lambda _: b"V1010\r",
             b"N": lambda _: b"NTUT1\r",
         }
@@ -53,7 +53,7 @@ class _Adapter:
         for byte in data:
             if byte == 0x0D:
                 line, self._line = self._line, b""
-                self._send(self._answer(line))
+                self._send(self._answer_line(line))
             elif len(self._line) < LONGEST_LINE:
                 self._line += bytes([byte])
 
@@ -62,11 +62,11 @@ class _Adapter:
             self._bus.detach(self._node)
             self._node = None
 
-    def _answer(self, line: bytes) -> bytes:
+    def _answer_line(self, line: bytes) -> bytes:
         command, rest = line[:1], line[1:]
         try:
             if command in b"tTrR" and command:
-                return self._transmit(command, rest)
+                return self._transmit_frame(command, rest)
             return self._commands[command](rest)
         except (KeyError, ValueError, IndexError):
             return _BELL
@@ -79,19 +79,19 @@ class _Adapter:
         self._bitrate = BIT_RATES[int(rest)]
         return _OK
 
-    def _open(self, rest: bytes) -> bytes:
+    def _open_channel(self, rest: bytes) -> bytes:
         if rest or self._node is not None:
             return _BELL
         self._listens_only = self._failed = False
-        self._node = self._bus.attach(self._hear, self._trouble, bitrate=self._bitrate)
+        self._node = self._bus.attach(self._forward_frame, self._handle_bus_error, bitrate=self._bitrate)
         return _OK
 
-    def _listen(self, rest: bytes) -> bytes:
-        answer = self._open(rest)
+    def _open_listen_only(self, rest: bytes) -> bytes:
+        answer = self._open_channel(rest)
         self._listens_only = answer == _OK
         return answer
 
-    def _shut(self, rest: bytes) -> bytes:
+    def _close_channel(self, rest: bytes) -> bytes:
         if rest or self._node is None:
             return _BELL
         self.close()
@@ -103,14 +103,14 @@ class _Adapter:
         self._stamps = rest == b"1"
         return _OK
 
-    def _flags(self, rest: bytes) -> bytes:
+    def _read_flags(self, rest: bytes) -> bytes:
         if rest or self._node is None:
             return _BELL
         flags = _PASSIVE_FLAG * (self._node.state == "passive") | _ERROR_FLAG * self._failed
         self._failed = False
         return b"F%02X\r" % flags
 
-    def _transmit(self, command: bytes, rest: bytes) -> bytes:
+    def _transmit_frame(self, command: bytes, rest: bytes) -> bytes:
         extended, remote = command in b"TR", command in b"rR"
         digits = 8 if extended else 3
         length = int(rest[digits : digits + 1], 16)
@@ -122,14 +122,14 @@ class _Adapter:
 
     # The bus
 
-    def _hear(self, frame: CanFrame) -> None:
+    def _forward_frame(self, frame: CanFrame) -> None:
         head = ("R" if frame.rtr else "T") if frame.extended else ("r" if frame.rtr else "t")
         name = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
         data = "" if frame.rtr else frame.data.hex().upper()
         stamp = f"{self._clock.now_ns() // NS_PER_MS % 60_000:04X}" if self._stamps else ""
         self._send(f"{head}{name}{len(frame.data)}{data}{stamp}\r".encode())
 
-    def _trouble(self, what: int) -> None:
+    def _handle_bus_error(self, what: int) -> None:
         self._failed = True
         if what == ERROR_BUS_OFF and self._node is not None:
             self._bus.later(RESTART_NS, self._node.restart)
@@ -143,25 +143,25 @@ class _SlcanPort:
         self._clock = clock
 
     @property
-    def ports(self) -> tuple[str, ...]:
+    def port_names(self) -> tuple[str, ...]:
         return (PORT,)
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
         """Raises `PortRefused`."""
         del closed
         if port != PORT:
             raise PortRefused(f"no port {port!r}; a serial CAN adapter has {PORT}")
-        return _Adapter(self._segment.bus, self._clock, send)
+        return _SlcanAdapter(self._segment.bus, self._clock, send)
 
 
 class CanPtyServer(PtyServer):
-    """Serves a bus on a pseudo-terminal that `link` points to. Raises `OSError` when the link can not be made."""
+    """Serve a bus on a pseudo-terminal that `link` points to. Raises `OSError` when the link cannot be made."""
 
     def __init__(self, segment: CanSegment, clock: Clock, link: Path) -> None:
         super().__init__(_SlcanPort(segment, clock), clock, link, _BAUD, _CHARACTER_BITS)
 
     @property
-    def ready(self) -> dict[str, object]:
-        """Where it is, for the ready line."""
-        channel = super().ready["device"]
+    def ready_fields(self) -> dict[str, object]:
+        """Address fields for the ready line."""
+        channel = super().ready_fields["device"]
         return {"place": f"can {channel}", "kind": "can", "interface": "slcan", "channel": channel}

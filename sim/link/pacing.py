@@ -1,4 +1,4 @@
-"""One direction of a serial line: bytes arrive when their last bit would have."""
+"""One direction of a serial line: bytes arrive when their last bit arrives."""
 
 from collections import deque
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from orchestrator.link.supply import Supply
 
 
 class PacedLine:
-    """Hands bytes on to `deliver`, in order, one character every `char_ns` at the most."""
+    """Pass bytes on to `deliver`, in order, at most one character every `char_ns`."""
 
     def __init__(self, clock: Clock, char_ns: int, deliver: Callable[[bytes], None]) -> None:
         self._clock = clock
@@ -21,21 +21,21 @@ class PacedLine:
         self.waiting = 0
         """Bytes that are still on the line."""
 
-    def put(self, data: bytes) -> None:
-        """Start to transmit, behind what is on the line already."""
+    def queue_bytes(self, data: bytes) -> None:
+        """Start to transmit, after the bytes that are on the line already."""
         self._free_ns = max(self._free_ns, self._clock.now_ns()) + len(data) * self._char_ns
         self._underway.append((self._free_ns, data))
         self.waiting += len(data)
         if len(self._underway) == 1:
-            self._next = self._clock.call_at_ns(self._free_ns, self._arrive)
+            self._next = self._clock.call_at_ns(self._free_ns, self._deliver_next)
 
-    def put_lines(self, data: bytes) -> None:
-        """The same, with each line arriving at its own end: a command takes effect at its own terminator."""
+    def queue_lines(self, data: bytes) -> None:
+        """Transmit, but deliver each line as a whole at its end: a command takes effect at its own terminator."""
         for line in data.splitlines(keepends=True):
-            self.put(line)
+            self.queue_bytes(line)
 
-    def fell_silent(self, at_ns: int) -> None:
-        """The sender has lost its power at `at_ns`, or longer ago: what had not left by then never does."""
+    def cut_transmission(self, at_ns: int) -> None:
+        """Discard bytes that had not left when the sender lost its power, at `at_ns` or earlier."""
         if at_ns <= self._cut.lost_ns:
             return
         self._cut.switched(False, at_ns)
@@ -49,9 +49,9 @@ class PacedLine:
                 self._deliver(left)
         self._free_ns = min(self._free_ns, at_ns)
 
-    def _arrive(self) -> None:
+    def _deliver_next(self) -> None:
         _, data = self._underway.popleft()
         self.waiting -= len(data)
         if self._underway:
-            self._next = self._clock.call_at_ns(self._underway[0][0], self._arrive)
+            self._next = self._clock.call_at_ns(self._underway[0][0], self._deliver_next)
         self._deliver(data)

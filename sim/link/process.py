@@ -1,9 +1,9 @@
-"""The process of one simulated controller, or of several that share a link:
-`python -m sim.link.process --model smc4000 --name gantry --listen …`; with `--next` between, of several links.
+"""Process of one simulated controller, or of several that share a link: `python -m sim.link.process --model smc4000
+--name gantry --listen …`; with `--next` between, of several links.
 
-When all can be reached it prints a JSON line for each link, with its place. It ends with SIGTERM, SIGINT, or when its
-standard input is closed, so that it never outlives the one who started it. Lines on standard input, and on the named
-pipe `--world`, change the physical world; those on standard input that of its first controller.
+When all are reachable it prints a JSON line with the address of each link. It ends with SIGTERM, SIGINT, or when its
+standard input closes, so that it never outlives its parent. Lines on standard input, and on the named pipe `--world`,
+change the physical environment; those on standard input concern its first controller.
 """
 
 import argparse
@@ -22,36 +22,44 @@ from pydantic import ValidationError
 
 from orchestrator.clock.live import LiveClock, begin_live
 from orchestrator.clock.realtime import Urgency, hurry
-from sim.core.controller import Branch, Port, PortRefused, SimulatedController, SimulatedLine, Timing, build_line
+from sim.core.controller import (
+    DeviceSpec,
+    FirmwareTiming,
+    LineEndpoint,
+    PortRefused,
+    SimulatedController,
+    SimulatedLine,
+    build_line,
+)
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
-from sim.link.arguments import PtyPlace, UdpPlace, UnitFields, first_problem, parse_arguments, units
+from sim.core.vectors import find_simulator
+from sim.link.arguments import DeviceFields, PtyAddress, UdpAddress, first_problem, parse_arguments, requested_devices
 from sim.link.bridge import BridgeServer, listen_bridge
-from sim.link.can_card import OnCanBus
+from sim.link.can_card import CanDevice
 from sim.link.can_pty import CanPtyServer
 from sim.link.pty import PtyServer
 from sim.link.tcp import PORT as TCP_PORT
 from sim.link.tcp import TcpServer, listen_tcp
-from sim.link.truth import TruthLog
+from sim.link.truth import GroundTruthLog
 from sim.link.udp import UdpServer, listen_udp
 from sim.link.wires import follow_outputs
-from sim.link.world import WorldRefused, change_world
+from sim.link.world import EnvironmentRefused, change_environment
 
 Server = TcpServer | UdpServer | PtyServer | BridgeServer
 
 
 class CannotStart(Exception):
-    """The simulator can not be reached as it was asked to. Says why."""
+    """The simulator cannot be served as requested; the message states the reason."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until ended. Gives 0, or 2 with one line on stderr when it can not start."""
+    """Run until ended. Return 0, or 2 with one line on stderr when it cannot start."""
     links = parse_arguments(arguments)
     hurry(Urgency.BUS)
     try:
-        on_ethernet = all(each.model == "smc4000" and not isinstance(each.listen, PtyPlace) for each in links)
+        on_ethernet = all(each.model == "smc4000" and not isinstance(each.listen, PtyAddress) for each in links)
         with asyncio.Runner(loop_factory=_exact_loop if on_ethernet else None) as runner:
-            runner.run(_run(links))
+            runner.run(_run_links(links))
     except CannotStart as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -59,55 +67,57 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _exact_loop() -> asyncio.AbstractEventLoop:
-    """A loop that wakes up to the microsecond, as firmware does: the usual one rounds up to the next millisecond.
+    """Create a loop that wakes up to the microsecond, as firmware does: the default one rounds up to the next
+    millisecond.
 
-    Not for serial lines: whoever is woken for each character has no time left for anything else.
+    Not for serial lines: a process that wakes for each character has no time left for anything else.
     """
     return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
 
-async def _run(links: Sequence[argparse.Namespace]) -> None:
+async def _run_links(links: Sequence[argparse.Namespace]) -> None:
     task = asyncio.current_task()
     assert task is not None
-    # From the first moment: whoever reads the ready line may end this process at once.
+    # Set before the ready line is printed: its reader may end this process at once.
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     clock = LiveClock()
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
-        told = [await _open_link(chosen, clock, cleanup) for chosen in links]
+        followers = [await _open_link(chosen, clock, cleanup) for chosen in links]
         begin_live()
-        for chosen, (server, *_) in zip(links, told, strict=True):
-            sys.stdout.write(json.dumps({"name": chosen.name, **server.ready}) + "\n")
+        for chosen, (server, *_) in zip(links, followers, strict=True):
+            sys.stdout.write(json.dumps({"name": chosen.name, **server.ready_fields}) + "\n")
         sys.stdout.flush()
-        await _follow(lines, *told[0])
+        await _follow_changes(lines, *followers[0])
 
 
 async def _open_link(
     chosen: argparse.Namespace, clock: LiveClock, cleanup: contextlib.ExitStack
 ) -> tuple[Server, SimulatedController, str]:
-    """What serves the link, and the first controller on it with its name. Raises `CannotStart` naming it."""
-    asked = units(chosen)
+    """Open one link. Return its server, and the first controller on it with its name. Raises `CannotStart` with that
+    name."""
+    requested = requested_devices(chosen)
     try:
-        line = _build(chosen.model, asked, clock)
-        server = await _serve(chosen, line.far, clock)
+        line = _build_devices(chosen.model, requested, clock)
+        server = await _serve_endpoint(chosen, line.endpoint, clock)
         cleanup.callback(server.close)
-        for unit in asked:
-            controller = line.units[unit.name]
+        for unit in requested:
+            controller = line.devices[unit.name]
             if unit.truth is not None:
-                TruthLog(controller, clock, cleanup.enter_context(_opened(unit.truth)))
+                GroundTruthLog(controller, clock, cleanup.enter_context(_open_append(unit.truth)))
             follow_outputs(controller, unit.wires, clock)
             if unit.world is not None:
                 more = await _named_pipe(unit.world)
-                listening = asyncio.get_running_loop().create_task(_follow(more, server, controller, unit.name))
+                listening = asyncio.get_running_loop().create_task(_follow_changes(more, server, controller, unit.name))
                 cleanup.callback(listening.cancel)
     except CannotStart as error:
         raise CannotStart(f"{chosen.name}: {error}") from None
-    return server, line.units[asked[0].name], asked[0].name
+    return server, line.devices[requested[0].name], requested[0].name
 
 
 async def _standard_input() -> asyncio.StreamReader:
-    """Standard input as lines."""
+    """Open standard input as lines."""
     reader = asyncio.StreamReader()
     try:
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
@@ -117,7 +127,7 @@ async def _standard_input() -> asyncio.StreamReader:
 
 
 async def _named_pipe(path: Path) -> asyncio.StreamReader:
-    """Lines of whoever opens the pipe. Opened for writing too, so that it does not end with its first writer."""
+    """Open a named pipe as lines. It is opened for writing too, so that it does not end with its first writer."""
     reader = asyncio.StreamReader()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -130,44 +140,44 @@ async def _named_pipe(path: Path) -> asyncio.StreamReader:
     return reader
 
 
-def _build(model: str, asked: Sequence[UnitFields], clock: LiveClock) -> SimulatedLine:
+def _build_devices(model: str, requested: Sequence[DeviceFields], clock: LiveClock) -> SimulatedLine:
     branches = {
-        unit.name: Branch(
+        unit.name: DeviceSpec(
             unit.address,
             unit.options,
             Oscillator(**unit.oscillator.model_dump()),
-            Timing(**unit.timing.model_dump()),
+            FirmwareTiming(**unit.timing.model_dump()),
             unit.seed,
         )
-        for unit in asked
+        for unit in requested
     }
     try:
-        return build_line(simulator(model), clock, branches)
+        return build_line(find_simulator(model), clock, branches)
     except ValidationError as error:
         raise CannotStart(f"--options: {first_problem(error)}") from None
     except ValueError as error:
         raise CannotStart(str(error)) from None
 
 
-async def _serve(chosen: argparse.Namespace, controller: Port, clock: LiveClock) -> Server:
+async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, clock: LiveClock) -> Server:
     place = chosen.listen
     try:
-        if isinstance(controller, OnCanBus):
-            if not isinstance(place, PtyPlace):
-                raise CannotStart("--listen: a CAN bus stands behind an slcan pseudo-terminal only: pty:PATH")
+        if isinstance(controller, CanDevice):
+            if not isinstance(place, PtyAddress):
+                raise CannotStart("--listen: a CAN bus can only be served at an slcan pseudo-terminal: pty:PATH")
             return CanPtyServer(controller.segment, clock, place.link)
-        if isinstance(place, PtyPlace):
+        if isinstance(place, PtyAddress):
             return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
-        if isinstance(place, UdpPlace):
+        if isinstance(place, UdpAddress):
             return await listen_udp(controller, place.host, place.port)
-        if TCP_PORT in controller.ports:
+        if TCP_PORT in controller.port_names:
             return await listen_tcp(controller, place.host, place.port)
         return await listen_bridge(controller, clock, place.host, place.port, chosen.baud, chosen.frame)
     except (PortRefused, OSError) as error:
         raise CannotStart(f"--listen: {error}") from None
 
 
-def _opened(path: Path) -> TextIO:
+def _open_append(path: Path) -> TextIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("a", encoding="utf-8")
@@ -175,14 +185,16 @@ def _opened(path: Path) -> TextIO:
         raise CannotStart(f"--truth: {path}: {error.strerror}") from None
 
 
-async def _follow(lines: asyncio.StreamReader, server: Server, controller: SimulatedController, name: str) -> None:
-    """Change the world line by line, until there are no more."""
+async def _follow_changes(
+    lines: asyncio.StreamReader, server: Server, controller: SimulatedController, name: str
+) -> None:
+    """Change the environment line by line, until the stream ends."""
     while line := await lines.readline():
         try:
-            change_world(controller, line.decode("utf-8", "replace"))
-        except WorldRefused as error:
+            change_environment(controller, line.decode("utf-8", "replace"))
+        except EnvironmentRefused as error:
             sys.stderr.write(f"{name}: {error}\n")
-        server.reconnect()
+        server.restore_link()
 
 
 if __name__ == "__main__":

@@ -1,46 +1,46 @@
-"""The truth about motion, written down for those who test: no client of the wire can see it."""
+"""Log of the ground truth of motion, for tests; not visible to clients."""
 
 import json
 from typing import TextIO
 
 from orchestrator.clock.base import NS_PER_MS, Clock
-from sim.core.controller import Motion, SimulatedController
+from sim.core.controller import CommandedMotion, SimulatedController
 
-LOOK_EVERY_NS = 100 * NS_PER_MS  # a look takes a tenth of a millisecond from what is tested
+POLL_PERIOD_NS = 100 * NS_PER_MS  # one poll takes a tenth of a millisecond from the system under test
 
 
-class TruthLog:
-    """Writes a JSON line to `file` for every motion when it has started, when it slows down because of a stop, and when
-    it has ended.
+class GroundTruthLog:
+    """Write a JSON line to `file` for every motion when it starts, when it slows down because of a stop, and when it
+    ends.
 
-    Instants are host time (`CLOCK_MONOTONIC_RAW`), ns, as the simulator made them; they are written down later.
+    Instants are host time (`CLOCK_MONOTONIC_RAW`), ns, as the simulator made them; they are written later.
     """
 
     def __init__(self, controller: SimulatedController, clock: Clock, file: TextIO) -> None:
         self._controller = controller
         self._clock = clock
         self._file = file
-        self._seen = 0
-        self._running: list[Motion] = []
-        self._slowing: list[Motion] = []
-        self._look()
+        self._polled_count = 0
+        self._running: list[CommandedMotion] = []
+        self._slowing: list[CommandedMotion] = []
+        self._poll_motions()
 
-    def _look(self) -> None:
-        motions, now_ns = self._controller.motions, self._clock.now_ns()
-        while self._seen < len(motions) and motions[self._seen].start_ns <= now_ns:
-            self._running.append(motions[self._seen])
-            self._write("start", motions[self._seen])
-            self._seen += 1
-        for motion in [each for each in self._running if _past(each.slowing_ns, now_ns)]:
+    def _poll_motions(self) -> None:
+        motions, now_ns = self._controller.commanded_motions, self._clock.now_ns()
+        while self._polled_count < len(motions) and motions[self._polled_count].start_ns <= now_ns:
+            self._running.append(motions[self._polled_count])
+            self._write_event("start", motions[self._polled_count])
+            self._polled_count += 1
+        for motion in [each for each in self._running if _has_passed(each.slowing_ns, now_ns)]:
             self._running.remove(motion)
             self._slowing.append(motion)
-            self._write("slowing", motion)
-        for motion in [each for each in (*self._running, *self._slowing) if _past(each.end_ns, now_ns)]:
+            self._write_event("slowing", motion)
+        for motion in [each for each in (*self._running, *self._slowing) if _has_passed(each.end_ns, now_ns)]:
             (self._slowing if motion in self._slowing else self._running).remove(motion)
-            self._write("end", motion)
-        self._clock.call_at_ns(now_ns + LOOK_EVERY_NS, self._look)
+            self._write_event("end", motion)
+        self._clock.call_at_ns(now_ns + POLL_PERIOD_NS, self._poll_motions)
 
-    def _write(self, event: str, motion: Motion) -> None:
+    def _write_event(self, event: str, motion: CommandedMotion) -> None:
         entry: dict[str, object] = {
             "event": event,
             "axis": motion.axis,
@@ -55,5 +55,5 @@ class TruthLog:
         self._file.flush()
 
 
-def _past(at_ns: int | None, now_ns: int) -> bool:
+def _has_passed(at_ns: int | None, now_ns: int) -> bool:
     return at_ns is not None and at_ns <= now_ns

@@ -10,19 +10,21 @@ from sim.link.arguments import WireFields
 
 
 def follow_outputs(controller: SimulatedController, wires: Sequence[WireFields], clock: Clock) -> None:
-    """Have each wire's far end follow its output from now on. Whoever is not there does not hear of it."""
+    """Make each wire's far end follow its output from now on. An absent receiver misses the change."""
 
-    def changed(output: int, on: bool) -> None:
+    def forward_change(output: int, on: bool) -> None:
         for wire in wires:
             if wire.output == output:
                 line = json.dumps({"input": [wire.input, on == wire.level_when_on]}).encode() + b"\n"
-                clock.call_at_ns(clock.now_ns() + wire.delay_us * NS_PER_US, lambda w=wire, text=line: _tell(w, text))
+                clock.call_at_ns(
+                    clock.now_ns() + wire.delay_us * NS_PER_US, lambda w=wire, text=line: _send_change(w, text)
+                )
 
     if wires:
-        controller.on_output(changed)
+        controller.on_output(forward_change)
 
 
-def _tell(wire: WireFields, line: bytes) -> None:
+def _send_change(wire: WireFields, line: bytes) -> None:
     try:
         pipe = os.open(wire.world, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:

@@ -1,4 +1,4 @@
-"""The physical world around a live simulator, changed by JSON lines."""
+"""Physical environment of a live simulator, changed by JSON lines."""
 
 from typing import Annotated
 
@@ -7,14 +7,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sim.core.controller import LimitSwitch, SimulatedController
 
 
-class WorldRefused(ValueError):
-    """A line that can not be acted upon. Says why."""
+class EnvironmentRefused(ValueError):
+    """A line that cannot be carried out; the message states the reason."""
 
 
-class Change(BaseModel):
-    """One line: any of these, in this order.
+class EnvironmentChange(BaseModel):
+    """One line: any of these, applied in this order.
 
-    input: number and level. limit: axis and switches. stall: axis, on. push: axis and counts that it is moved by hand.
+    input: number and level.
+    limit: axis and switches.
+    stall: axis, on.
+    push: axis, and the counts by which it is moved by hand.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -26,24 +29,24 @@ class Change(BaseModel):
     push: tuple[str, int] | None = None
 
 
-def change_world(controller: SimulatedController, line: str) -> None:
-    """Do what the JSON `line` says. Raises `WorldRefused`."""
+def change_environment(controller: SimulatedController, line: str) -> None:
+    """Carry out the JSON `line`. Raises `EnvironmentRefused`."""
     try:
-        change = Change.model_validate_json(line)
+        change = EnvironmentChange.model_validate_json(line)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"]))
-        raise WorldRefused(f'{field or "line"}: {first["msg"]}; e.g. {{"input": [1, true]}}') from None
+        raise EnvironmentRefused(f'{field or "line"}: {first["msg"]}; e.g. {{"input": [1, true]}}') from None
     for axis in [pair[0] for pair in (change.limit, change.stall, change.push) if pair is not None]:
-        if axis not in controller.axes:
-            raise WorldRefused(f"no axis {axis!r}; there are {', '.join(controller.axes)}")
+        if axis not in controller.axis_names:
+            raise EnvironmentRefused(f"no axis {axis!r}; available: {', '.join(controller.axis_names)}")
     try:
-        _change(controller, change)
+        _apply_change(controller, change)
     except ValueError as error:
-        raise WorldRefused(str(error)) from None
+        raise EnvironmentRefused(str(error)) from None
 
 
-def _change(controller: SimulatedController, change: Change) -> None:
+def _apply_change(controller: SimulatedController, change: EnvironmentChange) -> None:
     if change.power is not None:
         controller.set_power(change.power)
     if change.input is not None:
@@ -53,4 +56,4 @@ def _change(controller: SimulatedController, change: Change) -> None:
     if change.stall is not None:
         controller.set_stalled(*change.stall)
     if change.push is not None:
-        controller.push(*change.push)
+        controller.push_axis(*change.push)

@@ -3,35 +3,35 @@
 from collections.abc import Mapping
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Simulator, Timing
+from sim.core.controller import FirmwareTiming, Simulator
 from sim.core.oscillator import Oscillator
-from sim.ppsmc.bench import Bench
-from sim.ppsmc.controller import SmcController, build_controller
+from sim.ppsmc.bench import PpsmcBench
+from sim.ppsmc.controller import PpsmcController, build_controller
 from sim.ppsmc.options import read_options
 
 
-class _PpSmc:
-    """The model, as the group `tutti.simulators` names it."""
+class _PpsmcSimulator:
+    """The model, as the group `tutti.simulators` refers to it."""
 
     @property
     def model(self) -> str:
         return "ppsmc"
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
-    ) -> SmcController:
-        """A powered-up controller; `ValueError` for a wrong option."""
+    ) -> PpsmcController:
+        """Build a powered-up controller; `ValueError` for a wrong option."""
         return build_controller(clock, read_options(options), oscillator, timing, seed)
 
-    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> Bench:
-        """The same, ideal in time."""
-        return Bench(clock, options)
+    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> PpsmcBench:
+        """Build a controller that is ideal in time."""
+        return PpsmcBench(clock, options)
 
 
-PPSMC: Simulator = _PpSmc()
+PPSMC: Simulator = _PpsmcSimulator()

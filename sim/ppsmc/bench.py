@@ -1,4 +1,4 @@
-"""The bench that test vectors of the SMC run on (section 18)."""
+"""Bench for test vectors of the SMC (section 18)."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -7,16 +7,16 @@ from pydantic import BaseModel, ConfigDict
 
 from orchestrator.clock.base import Clock
 from sim.core.controller import LimitSwitch
-from sim.ppsmc.controller import SmcController, build_controller
+from sim.ppsmc.controller import PpsmcController, build_controller
 from sim.ppsmc.options import read_options
-from sim.ppsmc.sensors import Switch
+from sim.ppsmc.sensors import TravelSwitch
 
 _IDEAL = {"in_poll_ms": 0.0, "line_gap_ms": 0.0, "start_skew_us": 0.0, "reset_s": 0.0}
-"""Vectors take no account of these delays."""
+"""Vectors ignore these delays."""
 
 
-class _Truth(BaseModel):
-    """The physical truths of a vector; positions are in the axis's unit, encoders in increments."""
+class _GivenState(BaseModel):
+    """Ground truth of a vector; positions are in the axis's unit, encoders in increments."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -32,54 +32,54 @@ class _Truth(BaseModel):
     power: Literal["cycle"] | None = None
 
 
-class Bench:
-    """A controller without delays, and the handles that vectors need."""
+class PpsmcBench:
+    """A controller without delays, with the handles that vectors need."""
 
     def __init__(self, clock: Clock, options: Mapping[str, object]) -> None:
         self._options = read_options({**_IDEAL, **options})
         self._controller = build_controller(clock, self._options, None, None, 0)
 
     @property
-    def controller(self) -> SmcController:
+    def controller(self) -> PpsmcController:
         return self._controller
 
     @property
-    def port(self) -> str:
+    def port_name(self) -> str:
         return self._options.link
 
-    def given(self, truth: Mapping[str, object]) -> None:
-        """Bring about what a vector's `given` or a `setup` step states."""
-        stated = _Truth.model_validate(dict(truth))
+    def apply_given(self, state: Mapping[str, object]) -> None:
+        """Set up the state of a vector's `given` or of a `setup` step."""
+        stated = _GivenState.model_validate(dict(state))
         controller, machine = self._controller, self._controller.machine
         if stated.power is not None:
             controller.set_power(False)
             controller.set_power(True)
         for name, position in stated.position.items():
-            axis = controller.axis(name)
-            axis.set_counter(round(position * float(axis.settings.gear)))
+            axis = controller.find_axis(name)
+            axis.set_counter(round(position * float(axis.settings.steps_per_unit)))
         for name, increments in stated.encoder.items():
-            axis = controller.axis(name)
+            axis = controller.find_axis(name)
             if axis.encoder is None:
                 raise ValueError("encoder: the axes have none; set option 'encoder'")
-            axis.encoder.load(increments, axis.steps - axis.origin)
+            axis.encoder.load_counter(increments, axis.steps - axis.origin)
         for number, level in stated.inputs.items():
             controller.set_input(number, level)
         for number, level in stated.outputs.items():
-            machine.outputs = machine.outputs & ~(1 << number) | level << number
+            machine.output_byte = machine.output_byte & ~(1 << number) | level << number
         for name, which in stated.limits.items():
             controller.set_limit(name, which)
         for name, on in stated.home.items():
-            axis = controller.axis(name)
-            axis.switches.held[Switch.ORG] = on
-            machine.rearm(axis)
+            axis = controller.find_axis(name)
+            axis.switches.held[TravelSwitch.ORG] = on
+            machine.rearm_axis(axis)
         for name, on in stated.referenced.items():
-            controller.axis(name).referenced = on
+            controller.find_axis(name).referenced = on
         for name in stated.stalled:
             controller.set_stalled(name, True)
         if stated.error.get("oscillation"):
             for axis in machine.axes:
                 axis.oscillation_error = True
 
-    def refused(self, reply: bytes) -> bool:
-        """A refusal is silence, or with echo 1 and 2 an error message."""
+    def is_refusal(self, reply: bytes) -> bool:
+        """Return whether the reply is a refusal: silence, or with echo 1 and 2 an error message."""
         return not reply.strip() or reply.startswith(b"error")

@@ -1,12 +1,12 @@
 """Configuration commands (section 12.1), and those that save and switch configurations."""
 
-from sim.ppsmc.grammar import Refused, after_colon, integer, leading_axis
-from sim.ppsmc.registry import Command, Commands, When
-from sim.ppsmc.settings import ALIASES, ALTERNATIVE, READERS, configure
-from sim.ppsmc.unit import Client, Handler, Unit
+from sim.ppsmc.grammar import InputRefused, parse_integer, split_axis, text_after_colon
+from sim.ppsmc.registry import CommandEntry, Commands, CommandUsage
+from sim.ppsmc.settings import ALIASES, ALTERNATIVE, READERS, set_parameter
+from sim.ppsmc.unit import CommandClient, ControlProgram, Handler
 
 _BOARD_ONLY = ("ect", "est")
-"""Only with the PCI board (L512, L707)."""
+"""Available only with the PCI board (L512, L707)."""
 
 _HELP = {
     "acc": "acceleration ramp",
@@ -44,38 +44,38 @@ _HELP = {
 }
 
 
-def _setter(name: str) -> Handler:
-    def run(unit: Unit, client: Client, rest: str) -> None:
+def _setting_handler(name: str) -> Handler:
+    def apply_setting(unit: ControlProgram, client: CommandClient, rest: str) -> None:
         del client
-        number, rest = leading_axis(rest)
-        axis = unit.machine.axis(number)
-        text = after_colon(rest)
-        if unit.modern and name == "alias" and "~" in text:
+        number, rest = split_axis(rest)
+        axis = unit.machine.find_axis(number)
+        text = text_after_colon(rest)
+        if unit.is_modern and name == "alias" and "~" in text:
             text, _, full_name = text.partition("~")
-            configure(axis.settings, "fn", full_name, unit.options.fmax_hz)
-        configure(axis.settings, name, text, unit.options.fmax_hz)
+            set_parameter(axis.settings, "fn", full_name, unit.options.fmax_hz)
+        set_parameter(axis.settings, name, text, unit.options.fmax_hz)
 
-    return run
+    return apply_setting
 
 
-def _pqrf(unit: Unit, client: Client, rest: str) -> None:
+def _execute_pqrf(unit: ControlProgram, client: CommandClient, rest: str) -> None:
     del client
-    unit.append_unit = bool(integer(rest.removeprefix(":"), 0, 1))
+    unit.append_unit = bool(parse_integer(rest.removeprefix(":"), 0, 1))
 
 
-def _twen(unit: Unit, client: Client, rest: str) -> None:
-    """The average of two encoders; an axis paired with itself is on its own again (L4571)."""
+def _execute_twen(unit: ControlProgram, client: CommandClient, rest: str) -> None:
+    """twen: the average of two encoders; an axis paired with itself is single again (L4571)."""
     del client
-    number, rest = leading_axis(rest)
-    axis = unit.machine.axis(number)
-    second = integer(after_colon(rest), 1, len(unit.machine.axes))
+    number, rest = split_axis(rest)
+    axis = unit.machine.find_axis(number)
+    second = parse_integer(text_after_colon(rest), 1, len(unit.machine.axes))
     axis.settings.twen = 0 if second == axis.number else second
 
 
-def _update(unit: Unit, client: Client, rest: str) -> None:
+def _execute_update(unit: ControlProgram, client: CommandClient, rest: str) -> None:
     del client
-    configuration = integer(rest, 0, 1) if rest else 0
-    saved = [axis.settings.copy() for axis in unit.machine.axes]
+    configuration = parse_integer(rest, 0, 1) if rest else 0
+    saved = [axis.settings.copy_settings() for axis in unit.machine.axes]
     if configuration:
         unit.disk.alternative = saved
     else:
@@ -83,36 +83,37 @@ def _update(unit: Unit, client: Client, rest: str) -> None:
         unit.disk.append_unit = unit.append_unit
 
 
-def _chconf(unit: Unit, client: Client, rest: str) -> None:
-    """Gear and speed profile of one axis or all from the default or the alternative configuration (L4491-L4526)."""
+def _execute_chconf(unit: ControlProgram, client: CommandClient, rest: str) -> None:
+    """chconf: load gear and speed profile of one axis or all from the default or the alternative configuration
+    (L4491-L4526)."""
     del client
-    number, rest = leading_axis(rest)
-    text = after_colon(rest) if rest else ""
-    alternative = integer(text, 0, 1) if text else 0
-    axes = unit.machine.some(number)
+    number, rest = split_axis(rest)
+    text = text_after_colon(rest) if rest else ""
+    alternative = parse_integer(text, 0, 1) if text else 0
+    axes = unit.machine.select_axes(number)
     saved = unit.disk.alternative if alternative else unit.disk.default
     if saved is None:
-        raise Refused("no alternative configuration")
-    unit.apply(saved, ALTERNATIVE, axes)
+        raise InputRefused("no alternative configuration")
+    unit.apply_settings(saved, ALTERNATIVE, axes)
 
 
-def _second_names(name: str) -> tuple[str, ...]:
+def _alias_names(name: str) -> tuple[str, ...]:
     return tuple(alias for alias, meant in ALIASES.items() if meant == name)
 
 
 SETUP: Commands = {
-    name: Command(
-        _setter(name),
-        When.IDLE,
+    name: CommandEntry(
+        _setting_handler(name),
+        CommandUsage.IDLE,
         _HELP[name],
         needs="pc_board" if name in _BOARD_ONLY else None,
-        names=_second_names(name),
+        names=_alias_names(name),
     )
     for name in READERS
 } | {
-    "chconf": Command(_chconf, When.IDLE, "change configuration", needs="io_port"),
-    "pqrf": Command(_pqrf, When.IDLE, "position query response format", names=("pqr", "pgrf")),
-    "twen": Command(_twen, When.IDLE, "twin encoder"),
-    "update": Command(_update, When.IDLE, "save configuration parameters"),
+    "chconf": CommandEntry(_execute_chconf, CommandUsage.IDLE, "change configuration", needs="io_port"),
+    "pqrf": CommandEntry(_execute_pqrf, CommandUsage.IDLE, "position query response format", names=("pqr", "pgrf")),
+    "twen": CommandEntry(_execute_twen, CommandUsage.IDLE, "twin encoder"),
+    "update": CommandEntry(_execute_update, CommandUsage.IDLE, "save configuration parameters"),
 }
 """Configuration commands by name."""

@@ -1,16 +1,16 @@
-"""What survives power-off: configurations, programs, data files, last positions, network, password."""
+"""State that survives power-off: configurations, programs, data files, last positions, network, password."""
 
 from dataclasses import dataclass, field
 
-from sim.ppsmc.settings import Settings
+from sim.ppsmc.settings import AxisSettings
 
 
 @dataclass(slots=True)
-class Disk:
-    """The unit's hard disk. With the write filter on, data files written since the start are lost (L4737)."""
+class HardDisk:
+    """The controller's hard disk. With the write filter on, data files written since the start are lost (L4737)."""
 
-    default: list[Settings]
-    alternative: list[Settings] | None = None
+    default: list[AxisSettings]
+    alternative: list[AxisSettings] | None = None
     """Saved by `update1`; only gear and speed profile count (L1296)."""
     append_unit: bool = False
     """pqrf (L1097)."""
@@ -27,15 +27,15 @@ class Disk:
     eib_address: str = "192.168.253.212"
     eib_mask: str = "255.255.255.0"
     filtered: bool = False
-    """The write filter works since the start."""
+    """The write filter has been active since the start."""
     filter_next: bool = False
-    """The write filter is to work from the next start on (L4744)."""
+    """The write filter becomes active at the next start (L4744)."""
     filter_spares_files: bool = False
     """fbwf_configure has excepted the data files."""
     _before: dict[str, str] = field(default_factory=dict[str, str])
 
-    def start(self) -> None:
-        """The operating system starts."""
+    def start_system(self) -> None:
+        """Start the operating system."""
         if self.filtered and not self.filter_spares_files:
             self.files = dict(self._before)
         self.filtered = self.filter_next

@@ -10,77 +10,77 @@ _AXIS = re.compile(r"(\d{1,3})")
 _COLON = re.compile(r"[ \t]*:[ \t]*")
 
 
-class Refused(Exception):
-    """A command that is not carried out. Says why; the client sees it with echo 1 and 2 only."""
+class InputRefused(Exception):
+    """A command that is not carried out, with the reason; the client receives it with echo 1 and 2 only."""
 
 
 def split_name(line: str) -> tuple[str, str]:
-    """Name (lower case, with a leading `?` or `*`) and the rest of a command line."""
+    """Split a command line into its name (lower case, with a leading `?` or `*`) and the rest."""
     match = _NAME.fullmatch(line)
     assert match is not None
     rest = _COLON.sub(":", match[3].strip(), count=1)
     return (match[1] or "") + match[2].lower(), rest
 
 
-def decimal(text: str) -> Fraction:
-    """A decimal number, exactly. Raises `Refused`."""
+def parse_decimal(text: str) -> Fraction:
+    """Parse a decimal number, exactly. Raises `InputRefused`."""
     text = text.strip()
     if not _DECIMAL.fullmatch(text):
-        raise Refused(f"'{text}' is not a number")
+        raise InputRefused(f"'{text}' is not a number")
     return Fraction(text.rstrip(".") if text.endswith(".") else text)
 
 
-def integer(text: str, low: int, high: int) -> int:
-    """An integer from `low` to `high`. Raises `Refused`."""
+def parse_integer(text: str, low: int, high: int) -> int:
+    """Parse an integer from `low` to `high`. Raises `InputRefused`."""
     text = text.strip()
     if not _INTEGER.fullmatch(text):
-        raise Refused(f"'{text}' is not an integer")
+        raise InputRefused(f"'{text}' is not an integer")
     value = int(text)
     if not low <= value <= high:
-        raise Refused(f"value {text} out of range")
+        raise InputRefused(f"value {text} out of range")
     return value
 
 
-def leading_axis(rest: str) -> tuple[int | None, str]:
-    """The axis number at the start of `rest`, if any, and what follows it."""
+def split_axis(rest: str) -> tuple[int | None, str]:
+    """Return the axis number at the start of `rest`, if any, and the remaining text."""
     match = _AXIS.match(rest)
     return (int(match[1]), rest[match.end() :]) if match else (None, rest)
 
 
-def after_colon(rest: str) -> str:
-    """What follows the obligatory colon. Raises `Refused`."""
+def text_after_colon(rest: str) -> str:
+    """Return the text after the mandatory colon. Raises `InputRefused`."""
     if not rest.startswith(":"):
-        raise Refused("':' missing")
+        raise InputRefused("':' missing")
     return rest[1:].strip()
 
 
-def nothing(rest: str) -> None:
-    """Raises `Refused` if anything follows a command without argument."""
+def require_end(rest: str) -> None:
+    """Raise `InputRefused` if any text follows a command without argument."""
     if rest:
-        raise Refused(f"'{rest}' not expected")
+        raise InputRefused(f"'{rest}' not expected")
 
 
-def direction(text: str) -> int:
-    """`+` or `-`. Raises `Refused`."""
+def parse_direction(text: str) -> int:
+    """Parse `+` or `-`. Raises `InputRefused`."""
     if text not in ("+", "-"):
-        raise Refused("direction missing")
+        raise InputRefused("direction missing")
     return 1 if text == "+" else -1
 
 
-def rounded(value: Fraction) -> int:
-    """To the nearest integer, halves away from zero."""
-    return _divided(value.numerator, value.denominator)
+def round_nearest(value: Fraction) -> int:
+    """Round to the nearest integer, halves away from zero."""
+    return _divide_rounded(value.numerator, value.denominator)
 
 
-def _divided(over: int, under: int) -> int:
-    """over / under, under > 0, to the nearest integer, halves away from zero."""
+def _divide_rounded(over: int, under: int) -> int:
+    """Divide over / under, under > 0, rounded to the nearest integer, halves away from zero."""
     whole = (2 * abs(over) + under) // (2 * under)
     return whole if over >= 0 else -whole
 
 
-def plain(value: Fraction, decimals: int = 12, zeros: bool = False) -> str:
-    """As text with at most `decimals` decimals, and trailing zeros removed unless `zeros` (decision 6)."""
-    scaled = _divided(value.numerator * 10**decimals, value.denominator)
+def format_decimal(value: Fraction, decimals: int = 12, zeros: bool = False) -> str:
+    """Format with at most `decimals` decimals, and trailing zeros removed unless `zeros` (decision 6)."""
+    scaled = _divide_rounded(value.numerator * 10**decimals, value.denominator)
     digits = str(abs(scaled)).rjust(decimals + 1, "0")
     whole, part = digits[:-decimals], digits[-decimals:]
     if not zeros:

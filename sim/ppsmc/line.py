@@ -6,36 +6,38 @@ _CR = b"\r"
 
 
 @dataclass(frozen=True, slots=True)
-class CommandLine:
-    """One received line; `whole` unless it was longer than the limit."""
+class ClientLine:
+    """One received line.
+
+    whole: not longer than the limit."""
 
     text: str
     whole: bool
 
 
 @dataclass(slots=True)
-class LineReader:
-    """Cuts bytes into lines. LF never ends a line and is dropped; half a line waits for its other half."""
+class ClientLineReader:
+    """Splits bytes into lines. LF never ends a line and is dropped; a partial line waits for its other part."""
 
     limit: int
     _pending: bytearray = field(default_factory=bytearray)
 
-    def lines(self, data: bytes) -> list[CommandLine]:
-        """Lines that `data` completes."""
-        found: list[CommandLine] = []
+    def read_lines(self, data: bytes) -> list[ClientLine]:
+        """Return the lines that `data` completes."""
+        found: list[ClientLine] = []
         *complete, rest = data.replace(b"\n", b"").split(_CR)
         for piece in complete:
-            self._keep(piece)
+            self._append_piece(piece)
             text = self._pending.decode("latin-1")
             self._pending.clear()
-            found.append(CommandLine(text, len(text) <= self.limit))
-        self._keep(rest)
+            found.append(ClientLine(text, len(text) <= self.limit))
+        self._append_piece(rest)
         return found
 
-    def clear(self) -> None:
-        """Forget half a line."""
+    def discard_partial(self) -> None:
+        """Discard a partial line."""
         self._pending.clear()
 
-    def _keep(self, piece: bytes) -> None:
-        # One byte over the limit is enough to know.
+    def _append_piece(self, piece: bytes) -> None:
+        # One byte above the limit is enough to detect it.
         self._pending += piece[: max(0, self.limit + 1 - len(self._pending))]

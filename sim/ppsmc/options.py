@@ -1,4 +1,4 @@
-"""How one SMC is built and wired, and the knobs where the manual leaves a choice.
+"""Options of one SMC: its construction and wiring, and the choices that the manual leaves open.
 
 "Decision n" numbers the open questions of the protocol reference.
 """
@@ -13,11 +13,11 @@ AxisKey = Annotated[str, Field(pattern=r"^(?:[1-9]|1[0-6])$")]
 Zone = tuple[int, int]
 
 
-class Options(BaseModel):
+class PpsmcOptions(BaseModel):
     """Options of one simulated SMC. Unknown ones are refused.
 
-    The first group describes the unit and its stages (mechanical positions are motor steps from the place of the
-    first power-up); the second chooses between readings of the manual.
+    The first group describes the controller and its stages (mechanical positions are motor steps from the position
+    at the first power-up); the second chooses between readings of the manual.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -27,13 +27,13 @@ class Options(BaseModel):
     encoder: bool = False
     """Every axis has an incremental encoder input."""
     encoder_follows: bool = False
-    """The encoders are coupled to the motors; otherwise they hold what they are told."""
+    """The encoders are coupled to the motors; otherwise they keep the loaded value."""
     increments_per_step: Annotated[float, Field(gt=0)] = 1.0
     """Encoder increments per motor step with signal multiplication 1."""
     hardware: list[Hardware] = []
     """Installed options; commands of others are ignored (decision 20)."""
     link: Literal["tcp", "serial"] = "tcp"
-    """The interface that test vectors talk to."""
+    """The interface that test vectors use."""
     travel_steps: dict[AxisKey, Zone] = {}
     """EL- is active at and below the first, EL+ at and above the second mechanical position."""
     org_steps: dict[AxisKey, Zone] = {}
@@ -47,7 +47,7 @@ class Options(BaseModel):
     counter_hz: Annotated[float, Field(ge=0)] = 0.0
     """Pulses per second at the counter input."""
     com_replies: dict[str, str] = {}
-    """What the device on the control COM port answers to which string."""
+    """Replies of the device on the control COM port, by received string."""
     max_clients: Annotated[int, Field(ge=1)] = 16
     """TCP connections at a time."""
 
@@ -70,28 +70,28 @@ class Options(BaseModel):
     start_skew_us: Annotated[float, Field(ge=0, le=1000)] = 10.0
     """Decision 12: the axes of one group start within this."""
     queue_target: bool = True
-    """Decision 13: one goto or move for a moving axis waits for the end of its motion; else it is refused."""
+    """Decision 13: one goto or move for a moving axis waits for the end of its motion; otherwise it is refused."""
     limit_clears_reference: bool = True
     """Decision 15: a limit stop makes the position invalid."""
     in_poll_ms: Annotated[float, Field(ge=0, le=1000)] = 10.0
-    """Decision 18: how often a waiting program looks at the input port."""
+    """Decision 18: period in which a waiting program polls the input port."""
     line_gap_ms: Annotated[float, Field(ge=0, le=1000)] = 1.0
     """Decision 18: from the end of one program line to the start of the next."""
     fmax_hz: Annotated[int, Field(ge=1)] = 100_000
     """Decision 22."""
     reset_s: Annotated[float, Field(ge=0, le=60)] = 1.0
-    """The unit is deaf this long after reset; connections stay."""
+    """The controller ignores input this long after reset; connections stay."""
     restart_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     """Decision 26: no connection this long after reboot and restart."""
     sleep_while_moving: bool = False
-    """Decision 28: sleep is taken during motion too."""
+    """Decision 28: sleep is accepted during motion too."""
     line_limit: Annotated[int, Field(ge=16)] = 256
     """Longer command lines are refused, characters."""
     msg_comma: Annotated[str, Field(max_length=1)] = "!"
-    """What msg puts for a comma (L3656)."""
+    """The character that msg sends for a comma (L3656)."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Options":
+    def _check_consistency(self) -> "PpsmcOptions":
         for name in ("travel_steps", "org_steps", "sd_steps", "index_steps"):
             zones: dict[str, Zone] = getattr(self, name)
             for axis, (low, high) in zones.items():
@@ -102,9 +102,11 @@ class Options(BaseModel):
         return self
 
 
-def read_options(options: Mapping[str, object]) -> Options:
-    """The options, checked. `ValueError` names what is wrong and, for an unknown name, the allowed ones."""
-    unknown = sorted(set(options) - set(Options.model_fields))
+def read_options(options: Mapping[str, object]) -> PpsmcOptions:
+    """Validate the options. `ValueError` states the error and, for an unknown name, the allowed ones."""
+    unknown = sorted(set(options) - set(PpsmcOptions.model_fields))
     if unknown:
-        raise ValueError(f"unknown option {', '.join(unknown)}; allowed: {', '.join(sorted(Options.model_fields))}")
-    return Options.model_validate(dict(options))
+        raise ValueError(
+            f"unknown option {', '.join(unknown)}; allowed: {', '.join(sorted(PpsmcOptions.model_fields))}"
+        )
+    return PpsmcOptions.model_validate(dict(options))

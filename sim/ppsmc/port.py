@@ -1,4 +1,4 @@
-"""One connection: its command buffer, the pace at which commands are executed, and its replies."""
+"""One connection: its command buffer, the timing of command execution, and its replies."""
 
 from collections import deque
 from collections.abc import Callable
@@ -6,13 +6,13 @@ from typing import Protocol
 
 from orchestrator.clock.base import Timer
 from orchestrator.link.supply import Supply
-from sim.core.controller import Send
+from sim.core.controller import SendBytes
 from sim.core.devicetime import DeviceTime
-from sim.ppsmc.line import CommandLine, LineReader
+from sim.ppsmc.line import ClientLine, ClientLineReader
 
 
-class Firmware(Protocol):
-    """What a connection needs of the unit behind it."""
+class PortFirmware(Protocol):
+    """Interface of the controller that a connection uses."""
 
     @property
     def time(self) -> DeviceTime: ...
@@ -21,57 +21,59 @@ class Firmware(Protocol):
     def supply(self) -> Supply: ...
 
     @property
-    def listening(self) -> bool:
-        """Whether anybody reads the line."""
+    def is_listening(self) -> bool:
+        """Return whether the firmware reads the line."""
         ...
 
     def delay_ns(self) -> int:
         """Decoding time of the next command."""
         ...
 
-    def execute(self, port: "Port", line: CommandLine) -> None: ...
+    def execute_line(self, port: "ClientConnection", line: ClientLine) -> None: ...
 
-    def framed(self, text: str, serial: bool) -> bytes: ...
+    def frame_reply(self, text: str, serial: bool) -> bytes: ...
 
-    def left(self, port: "Port") -> None:
-        """The other side has gone, and perhaps commands of it still wait."""
+    def handle_disconnect(self, port: "ClientConnection") -> None:
+        """Handle a disconnection; commands of the port may still wait."""
         ...
 
 
-class Port:
+class ClientConnection:
     """One open connection. Commands of one connection are executed in order, one at a time."""
 
-    def __init__(self, firmware: Firmware, send: Send, closed: Callable[[], None], serial: bool, limit: int) -> None:
+    def __init__(
+        self, firmware: PortFirmware, send: SendBytes, closed: Callable[[], None], serial: bool, limit: int
+    ) -> None:
         self._firmware = firmware
         self._send = send
         self._closed = closed
         self._serial = serial
-        self._reader = LineReader(limit)
-        self._buffer: deque[CommandLine] = deque()
+        self._reader = ClientLineReader(limit)
+        self._buffer: deque[ClientLine] = deque()
         self._open = True
         self._timer: Timer | None = None
         self._asleep_ns = 0
-        """Device time until which a sleep holds the next command back."""
+        """Device time until which a sleep delays the next command."""
         self._working = False
 
     # From outside
 
     def receive(self, data: bytes) -> None:
-        if not self._open or not self._firmware.listening:
+        if not self._open or not self._firmware.is_listening:
             return
-        self._buffer += self._reader.lines(data)
-        self._work()
+        self._buffer += self._reader.read_lines(data)
+        self._execute_due()
 
     def close(self) -> None:
-        """The other side has gone; what it has sent completely is still carried out."""
+        """Handle a disconnection; completely received commands are still executed."""
         if self._open:
             self._open = False
-            self._firmware.left(self)
+            self._firmware.handle_disconnect(self)
 
-    # From the unit
+    # From the controller
 
     @property
-    def serial(self) -> bool:
+    def is_serial(self) -> bool:
         return self._serial
 
     @property
@@ -79,46 +81,46 @@ class Port:
         return self._firmware.supply
 
     @property
-    def open(self) -> bool:
+    def is_open(self) -> bool:
         return self._open
 
     @property
-    def empty(self) -> bool:
-        """Whether no command waits."""
+    def is_empty(self) -> bool:
+        """Return whether no command waits."""
         return not self._buffer and self._timer is None
 
-    def say(self, text: str) -> None:
+    def send_reply(self, text: str) -> None:
         """Send one reply."""
         if self._open:
-            self._send(self._firmware.framed(text, self._serial))
+            self._send(self._firmware.frame_reply(text, self._serial))
 
-    def sleep(self, duration_ns: int) -> None:
+    def delay_next(self, duration_ns: int) -> None:
         self._asleep_ns = self._firmware.time.now_ns() + duration_ns
 
-    def drop_waiting(self) -> None:
-        """The command buffer is cleared (L1409)."""
+    def discard_waiting(self) -> None:
+        """Clear the command buffer (L1409)."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         self._buffer.clear()
         self._asleep_ns = 0
 
-    def drop_commands(self) -> None:
-        """Whatever has been heard is gone."""
-        self.drop_waiting()
-        self._reader.clear()
+    def discard_commands(self) -> None:
+        """Discard all received bytes."""
+        self.discard_waiting()
+        self._reader.discard_partial()
 
-    def hang_up(self) -> None:
-        """The unit ends the connection."""
-        self.drop_commands()
+    def close_from_controller(self) -> None:
+        """Close the connection from the controller's side."""
+        self.discard_commands()
         if self._open:
             self._open = False
             self._closed()
 
-    # Command by command
+    # Execution, command by command
 
-    def _work(self) -> None:
-        """Execute what is due; the rest waits for its time."""
+    def _execute_due(self) -> None:
+        """Execute the commands that are due; the others wait."""
         if self._working or self._timer is not None:
             return
         self._working = True
@@ -127,16 +129,16 @@ class Port:
             now_ns = time.now_ns()
             due_ns = max(now_ns, self._asleep_ns) + self._firmware.delay_ns()
             if due_ns > now_ns:
-                self._timer = time.call_at(due_ns, self._due)
+                self._timer = time.call_at(due_ns, self._handle_due)
             else:
-                self._firmware.execute(self, self._buffer.popleft())
+                self._firmware.execute_line(self, self._buffer.popleft())
         self._working = False
-        if not self._open and self.empty:
-            self._firmware.left(self)
+        if not self._open and self.is_empty:
+            self._firmware.handle_disconnect(self)
 
-    def _due(self) -> None:
+    def _handle_due(self) -> None:
         self._timer = None
         self._working = True
-        self._firmware.execute(self, self._buffer.popleft())
+        self._firmware.execute_line(self, self._buffer.popleft())
         self._working = False
-        self._work()
+        self._execute_due()

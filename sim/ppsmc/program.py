@@ -1,10 +1,10 @@
-"""Program memory: program lines as they were sent, and what they mean (section 13)."""
+"""Program memory: program lines as they were sent, and their parsed form (section 13)."""
 
 import re
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from sim.ppsmc.grammar import Refused, decimal, integer, nothing, split_name
+from sim.ppsmc.grammar import InputRefused, parse_decimal, parse_integer, require_end, split_name
 
 _POSITION = re.compile(
     r"(\d{1,2})\s*:\s*([ar]?)([+-]?(?:\d+\.?\d*|\.\d+))s(\d+(?:\.\d*)?)"
@@ -54,7 +54,7 @@ NAMES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Position:
+class PositioningCommand:
     """A positioning command (L3276-L3318). Speeds in Hz, ramps in Hz/ms; without `run_hz` at `start_hz` alone."""
 
     axis: int
@@ -67,7 +67,7 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class PortJob:
     """An i/o part job: `out` byte, `set`/`res` bit, `in` of all bits or one, waiting for `level` if that is given."""
 
     name: str
@@ -76,16 +76,16 @@ class Port:
 
 
 @dataclass(slots=True)
-class Line:
+class JobLine:
     """One program line: its part jobs by their fixed order (L3216-L3222), and the commands as they were sent."""
 
     number: int | None = None
     text: list[str] = field(default_factory=list[str])
     messages: list[str] = field(default_factory=list[str])
-    ports: list[Port] = field(default_factory=list[Port])
+    ports: list[PortJob] = field(default_factory=list[PortJob])
     filter: int | None = None
     screen: int | None = None
-    positions: list[Position] = field(default_factory=list[Position])
+    positions: list[PositioningCommand] = field(default_factory=list[PositioningCommand])
     count_s: Fraction | None = None
     counting: bool | None = None
     """cntc begins, cnts ends a count over several lines."""
@@ -97,59 +97,59 @@ class Line:
     ends: bool = False
 
 
-def read_position(text: str, axes: int) -> Position:
-    """A positioning command. Raises `Refused`."""
+def read_position(text: str, axes: int) -> PositioningCommand:
+    """Parse a positioning command. Raises `InputRefused`."""
     match = _POSITION.fullmatch(text.replace(" ", ""))
     if match is None:
-        raise Refused("not a positioning command")
-    axis = integer(match[1], 1, axes)
+        raise InputRefused("not a positioning command")
+    axis = parse_integer(match[1], 1, axes)
     start, run, up, down = (None if part is None else float(part) for part in match.groups()[3:])
     assert start is not None
     for speed in (start, run):
         if speed is not None and not 1 <= speed <= _MOST_HZ:
-            raise Refused("speed out of range")
+            raise InputRefused("speed out of range")
     if run is None or up is None:
-        return Position(axis, match[2].lower() == "a", decimal(match[3]), start)
+        return PositioningCommand(axis, match[2].lower() == "a", parse_decimal(match[3]), start)
     down = up if down is None else down
     if not (1 <= up <= 1000 and 1 <= down <= 1000):
-        raise Refused("ramp out of range")
-    return Position(axis, match[2].lower() == "a", decimal(match[3]), start, run, up, down)
+        raise InputRefused("ramp out of range")
+    return PositioningCommand(axis, match[2].lower() == "a", parse_decimal(match[3]), start, run, up, down)
 
 
-def _interval(text: str) -> Fraction:
+def _parse_interval(text: str) -> Fraction:
     """0.1-600 s."""
-    value = decimal(text)
+    value = parse_decimal(text)
     if not Fraction(1, 10) <= value <= 600:
-        raise Refused("interval out of range")
+        raise InputRefused("interval out of range")
     return value
 
 
-class Memory:
-    """The program memory: closed lines, and the one that is being written."""
+class ProgramMemory:
+    """The program memory: closed lines, and the line being written."""
 
     def __init__(self, axes: int, comma: str) -> None:
         self._axes = axes
         self._comma = comma
-        self.lines: list[Line] = []
-        self._open = Line()
+        self.lines: list[JobLine] = []
+        self._open = JobLine()
 
-    def clear(self) -> None:
+    def clear_program(self) -> None:
         self.lines = []
-        self._open = Line()
+        self._open = JobLine()
 
     @property
-    def listing(self) -> list[str]:
-        """Every command as it was sent, in order."""
+    def list_commands(self) -> list[str]:
+        """Return every command as it was sent, in order."""
         return [text for line in (*self.lines, self._open) for text in line.text]
 
-    def load(self, listing: list[str]) -> None:
+    def load_listing(self, listing: list[str]) -> None:
         """Replace the program."""
-        self.clear()
+        self.clear_program()
         for text in listing:
-            self.add(text)
+            self.add_command(text)
 
-    def index(self, number: int) -> int | None:
-        """Where the line with `number` is; lines without a number follow on the one before, from 1."""
+    def find_index(self, number: int) -> int | None:
+        """Return the index of the line with `number`; lines without a number count on from the one before, from 1."""
         current = 0
         for index, line in enumerate(self.lines):
             current = current + 1 if line.number is None else line.number
@@ -157,15 +157,15 @@ class Memory:
                 return index
         return None
 
-    def number(self, index: int) -> int:
-        """The number of the line at `index`."""
+    def line_number(self, index: int) -> int:
+        """Return the number of the line at `index`."""
         current = 0
         for line in self.lines[: index + 1]:
             current = current + 1 if line.number is None else line.number
         return current
 
-    def add(self, command: str) -> None:
-        """Store a program command. Raises `Refused`, and then nothing is stored."""
+    def add_command(self, command: str) -> None:
+        """Store a program command. Raises `InputRefused`, and then nothing is stored."""
         command = command.strip()
         text = command.rstrip(";").strip()
         line = self._open
@@ -176,66 +176,69 @@ class Memory:
         name, rest = split_name(text)
         name = NAMES[name]
         if name == "lin":
-            number = integer(rest, 0, _MOST_LINE)
+            number = parse_integer(rest, 0, _MOST_LINE)
             if line.text and (line.number is None or len(line.text) > 1):
-                # Part jobs without nl before it: that line is over.
-                self._close()
+                # A part job without nl before it: the open line is complete.
+                self._close_line()
                 line = self._open
             line.number = number
         elif name == "nl":
-            nothing(rest)
+            require_end(rest)
             if line.text:
                 line.text.append(command)
-                self._close()
+                self._close_line()
             return
         else:
-            self._part(line, name, rest)
+            self._add_part(line, name, rest)
         line.text.append(command)
         if name in ("end", "ret"):
-            self._close()
+            self._close_line()
 
-    def _close(self) -> None:
+    def _close_line(self) -> None:
         self.lines.append(self._open)
-        self._open = Line()
+        self._open = JobLine()
 
-    def _part(self, line: Line, name: str, rest: str) -> None:
+    def _add_part(self, line: JobLine, name: str, rest: str) -> None:
         match name:
             case "msg":
                 if not rest.startswith(":"):
-                    raise Refused("':' missing")
+                    raise InputRefused("':' missing")
                 line.messages.append(rest[1:].translate(_MESSAGE).replace(",", self._comma))
             case "out":
-                line.ports.append(Port(name, integer(rest, 0, 255)))
+                line.ports.append(PortJob(name, parse_integer(rest, 0, 255)))
             case "set" | "res":
-                line.ports.append(Port(name, integer(rest, 0, 7)))
+                line.ports.append(PortJob(name, parse_integer(rest, 0, 7)))
             case "in":
-                line.ports.append(_read_in(rest))
+                line.ports.append(_parse_in(rest))
             case "fi":
-                line.filter = integer(rest, 1, 6)
+                line.filter = parse_integer(rest, 1, 6)
             case "hs":
-                line.screen = integer(rest, 0, 4)
+                line.screen = parse_integer(rest, 0, 4)
             case "cnt":
-                line.count_s = _interval(rest)
+                line.count_s = _parse_interval(rest)
             case "cntc" | "cnts":
-                nothing(rest)
+                require_end(rest)
                 line.counting = name == "cntc"
             case "delay":
-                line.delay_s = _interval(rest)
+                line.delay_s = _parse_interval(rest)
             case "jump":
-                line.jump = integer(rest, 0, _MOST_LINE)
+                line.jump = parse_integer(rest, 0, _MOST_LINE)
             case "gosub":
                 number, _, times = rest.partition("*")
-                line.subroutine = (integer(number, 0, _MOST_LINE), integer(times, 1, _MOST_LINE) if times else 1)
+                line.subroutine = (
+                    parse_integer(number, 0, _MOST_LINE),
+                    parse_integer(times, 1, _MOST_LINE) if times else 1,
+                )
             case _:
-                nothing(rest)
+                require_end(rest)
                 line.returns = line.returns or name == "ret"
                 line.ends = line.ends or name == "end"
 
 
-def _read_in(rest: str) -> Port:
+def _parse_in(rest: str) -> PortJob:
     if not rest:
-        return Port("in")
+        return PortJob("in")
     match = _BIT.fullmatch(rest)
     if match is None:
-        raise Refused("not a bit of the input port")
-    return Port("in", int(match[1]), None if match[2] is None else match[2] == "1")
+        raise InputRefused("not a bit of the input port")
+    return PortJob("in", int(match[1]), None if match[2] is None else match[2] == "1")

@@ -1,4 +1,4 @@
-"""What a command is: its handler, when it is allowed, and the hardware that it needs."""
+"""Definition of a command: its handler, when it is allowed, and the hardware that it needs."""
 
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -6,8 +6,8 @@ from enum import Enum, auto
 from sim.ppsmc.unit import Handler
 
 
-class When(Enum):
-    """During what a command is allowed (its "usage" in the manual)."""
+class CommandUsage(Enum):
+    """State in which a command is allowed (its "usage" in the manual)."""
 
     ALWAYS = auto()
     NOT_PROGRAM = auto()
@@ -16,26 +16,28 @@ class When(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """One command. `needs`: hardware without which it is ignored (L215)."""
+class CommandEntry:
+    """One command.
+
+    needs: hardware without which it is ignored (L215)."""
 
     run: Handler
-    when: When
+    when: CommandUsage
     help: str
     needs: str | None = None
     names: tuple[str, ...] = ()
     """Its other names."""
     blocked: bool = False
-    """Carried out by a blocked unit too (L1404)."""
+    """Executed by a blocked controller too (L1404)."""
     later: bool = False
-    """Known to later firmware only (decision 0)."""
+    """Supported by later firmware only (decision 0)."""
 
 
-Commands = dict[str, Command]
+Commands = dict[str, CommandEntry]
 
 
 def by_all_names(*tables: Commands) -> Commands:
-    """The commands of several tables, under their aliases too."""
+    """Merge several tables of commands, including their aliases."""
     found: Commands = {}
     for table in tables:
         for name, command in table.items():

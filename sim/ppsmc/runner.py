@@ -4,22 +4,22 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Timer
-from sim.ppsmc.counter import Counter
-from sim.ppsmc.grammar import Refused
-from sim.ppsmc.machine import Machine
-from sim.ppsmc.moves import positioning
-from sim.ppsmc.path import Profile
-from sim.ppsmc.program import Line, Memory, Port, Position
-from sim.ppsmc.task import Kind
+from sim.ppsmc.counter import PulseCounter
+from sim.ppsmc.grammar import InputRefused
+from sim.ppsmc.machine import StepperHardware
+from sim.ppsmc.moves import positioning_steps
+from sim.ppsmc.path import SpeedProfile
+from sim.ppsmc.program import JobLine, PortJob, PositioningCommand, ProgramMemory
+from sim.ppsmc.task import TaskKind
 
 Say = Callable[[str], None]
-_HOLD_LINES = 1000
-"""Lines without any wait after which a program gives way for a moment: an endless loop must not stop time."""
+_YIELD_LINES = 1000
+"""Lines without any wait after which a program yields for a moment: an endless loop must not stop time."""
 
 
 @dataclass(slots=True)
-class _Return:
-    """A gosub that runs: the line after it, the subroutine's first line, and repetitions still to come."""
+class _ActiveSubroutine:
+    """A running gosub: the line after it, the subroutine's first line, and repetitions left."""
 
     to: int
     first: int
@@ -27,48 +27,48 @@ class _Return:
 
 
 Job = Generator[Callable[[Callable[[], None]], None], None, None]
-"""Yields waits: each takes what is to be called when it is over."""
+"""Yields waits: each takes the callback to be called when it is over."""
 
 
-class Runner:
+class ProgramRunner:
     """Runs the program in the memory. Waits are events; a program that waits for an input schedules nothing."""
 
-    def __init__(self, machine: Machine, memory: Memory, counter: Counter) -> None:
+    def __init__(self, machine: StepperHardware, memory: ProgramMemory, counter: PulseCounter) -> None:
         self._machine = machine
         self._memory = memory
         self._counter = counter
         self._job: Job | None = None
         self._timer: Timer | None = None
-        self._waiting: tuple[Port, int, Callable[[], None]] | None = None
+        self._waiting: tuple[PortJob, int, Callable[[], None]] | None = None
         self._only: int | None = None
-        self._say: Say = _silent
+        self._send: Say = _discard_text
         self._lines_run = 0
         self.line = 0
-        """Number of the line that is executed; 0 without a program."""
+        """Number of the line being executed; 0 without a program."""
         self.filter = 1
         self.screen = 0
         machine.on_input = self._input_changed
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         return self._job is not None
 
-    def start(self, first: int | None, only: int | None, repetitions: int, say: Say) -> None:
-        """Run from line number `first` (None: the beginning), on axis `only` (None: all). Raises `Refused`.
+    def start_program(self, first: int | None, only: int | None, repetitions: int, send: Say) -> None:
+        """Run from line number `first` (None: the beginning), on axis `only` (None: all). Raises `InputRefused`.
 
-        `say` takes messages and input states.
+        `send` receives messages and input states.
         """
-        index = 0 if first is None else self._memory.index(first)
+        index = 0 if first is None else self._memory.find_index(first)
         if index is None:
-            raise Refused(f"no program line {first}")
+            raise InputRefused(f"no program line {first}")
         if not self._memory.lines:
-            raise Refused("no program")
-        self._only, self._say = only, say
-        self._job = self._program(index, repetitions)
-        self._next()
+            raise InputRefused("no program")
+        self._only, self._send = only, send
+        self._job = self._program_job(index, repetitions)
+        self._run_to_wait()
 
-    def abort(self) -> None:
-        """End the program; motions are the machine's business."""
+    def abort_program(self) -> None:
+        """End the program; its motions are stopped by the machine."""
         if self._job is None:
             return
         if self._timer is not None:
@@ -76,10 +76,10 @@ class Runner:
             self._timer = None
         job, self._job, self._waiting, self.line = self._job, None, None, 0
         job.close()
-        self._counter.cancel()
+        self._counter.cancel_count()
 
-    def _next(self) -> None:
-        """Go on until the next wait; waits that are over at once do not pile up on the stack."""
+    def _run_to_wait(self) -> None:
+        """Continue until the next wait; waits that are over at once do not grow the stack."""
         self._timer = None
         while self._job is not None:
             job = self._job
@@ -87,40 +87,40 @@ class Runner:
             if wait is None:
                 self._job, self.line = None, 0
                 return
-            state = _Wait()
+            state = _WaitState()
 
-            def over(state: _Wait = state, job: Job = job) -> None:
+            def finish_wait(state: _WaitState = state, job: Job = job) -> None:
                 state.over = True
                 if state.returned and self._job is job:
-                    self._next()
+                    self._run_to_wait()
 
-            wait(over)
+            wait(finish_wait)
             state.returned = True
             if not state.over:
                 return
 
     # The program
 
-    def _program(self, first: int, repetitions: int) -> Job:
+    def _program_job(self, first: int, repetitions: int) -> Job:
         self._lines_run = 0
         for _ in range(repetitions):
-            yield from self._pass(first)
+            yield from self._line_job(first)
 
     def _between_lines(self) -> Job:
-        """What passes before every line but the first (decision 18)."""
+        """Wait before every line but the first (decision 18)."""
         gap_ns = round(self._machine.options.line_gap_ms * NS_PER_MS)
-        if self._lines_run and (gap_ns or self._lines_run % _HOLD_LINES == 0):
-            yield self._pause(gap_ns or NS_PER_MS)
+        if self._lines_run and (gap_ns or self._lines_run % _YIELD_LINES == 0):
+            yield self._pause_wait(gap_ns or NS_PER_MS)
         self._lines_run += 1
 
-    def _pass(self, index: int) -> Job:
-        calls: list[_Return] = []
+    def _line_job(self, index: int) -> Job:
+        calls: list[_ActiveSubroutine] = []
         lines = self._memory.lines
         while index < len(lines):
             yield from self._between_lines()
             line = lines[index]
-            self.line = self._memory.number(index)
-            yield from self._execute(line)
+            self.line = self._memory.line_number(index)
+            yield from self._part_jobs(line)
             target: int | None = index + 1
             if line.ends:
                 return
@@ -134,88 +134,88 @@ class Runner:
                 return
             elif line.subroutine is not None:
                 number, times = line.subroutine
-                target = self._memory.index(number)
+                target = self._memory.find_index(number)
                 if target is not None:
-                    calls.append(_Return(index + 1, target, times))
+                    calls.append(_ActiveSubroutine(index + 1, target, times))
             elif line.jump is not None:
-                target = self._memory.index(line.jump)
+                target = self._memory.find_index(line.jump)
             if target is None:
                 return
             index = target
 
-    def _execute(self, line: Line) -> Job:
+    def _part_jobs(self, line: JobLine) -> Job:
         for message in line.messages:
-            self._say(message)
+            self._send(message)
         for port in line.ports:
-            yield from self._port(port)
+            yield from self._port_job(port)
         if line.filter is not None:
             self.filter = line.filter
         if line.screen is not None:
             self.screen = line.screen
         positions = [one for one in line.positions if self._only in (None, one.axis)]
         if positions:
-            yield lambda over: self._position(positions, over)
+            yield lambda over: self._start_positions(positions, over)
         if line.counting is True:
-            self._counter.begin()
+            self._counter.begin_count()
         elif line.counting is False:
-            self._counter.stop()
+            self._counter.stop_count()
         if line.count_s is not None:
             interval_ns = round(line.count_s * NS_PER_S)
-            yield lambda over: self._counter.count(interval_ns, lambda _: over())
+            yield lambda over: self._counter.count_interval(interval_ns, lambda _: over())
         if line.delay_s is not None:
-            yield self._pause(round(line.delay_s * NS_PER_S))
+            yield self._pause_wait(round(line.delay_s * NS_PER_S))
 
-    def _pause(self, duration_ns: int) -> Callable[[Callable[[], None]], None]:
-        def wait(over: Callable[[], None]) -> None:
+    def _pause_wait(self, duration_ns: int) -> Callable[[Callable[[], None]], None]:
+        def start_pause(over: Callable[[], None]) -> None:
             self._timer = self._machine.time.call_after(duration_ns, over)
 
-        return wait
+        return start_pause
 
     # The i/o port
 
-    def _port(self, port: Port) -> Job:
+    def _port_job(self, port: PortJob) -> Job:
         machine = self._machine
         if port.name == "in":
             if port.level is not None:
                 yield lambda over: self._await_input(port, over)
             elif port.number is not None:
-                self._say(str(machine.inputs >> port.number & 1))
+                self._send(str(machine.inputs >> port.number & 1))
             else:
-                self._say(str(machine.inputs))
+                self._send(str(machine.inputs))
             return
         assert port.number is not None
         if port.name == "out":
-            machine.outputs = port.number
+            machine.output_byte = port.number
         elif port.name == "set":
-            machine.outputs |= 1 << port.number
+            machine.output_byte |= 1 << port.number
         else:
-            machine.outputs &= ~(1 << port.number)
+            machine.output_byte &= ~(1 << port.number)
 
-    def _await_input(self, port: Port, over: Callable[[], None]) -> None:
-        if self._matches(port):
+    def _await_input(self, port: PortJob, over: Callable[[], None]) -> None:
+        if self._input_matches(port):
             over()
         else:
             self._waiting = (port, self._machine.time.now_ns(), over)
 
-    def _matches(self, port: Port) -> bool:
+    def _input_matches(self, port: PortJob) -> bool:
         assert port.number is not None
         return bool(self._machine.inputs >> port.number & 1) == port.level
 
     def _input_changed(self) -> None:
-        """The port is looked at every poll interval since the wait began; only a change can matter."""
+        """Poll the port every poll interval since the wait began; only a change can matter."""
         if self._waiting is None or self._timer is not None:
             return
         _, since_ns, _ = self._waiting
         poll_ns = round(self._machine.options.in_poll_ms * NS_PER_MS)
         if not poll_ns:
-            self._look()
+            self._poll_input()
             return
         waited_ns = self._machine.time.now_ns() - since_ns
-        self._timer = self._machine.time.call_at(since_ns + -(-waited_ns // poll_ns) * poll_ns, self._look)
+        self._timer = self._machine.time.call_at(since_ns + -(-waited_ns // poll_ns) * poll_ns, self._poll_input)
 
-    def _look(self) -> None:
+    def _poll_input(self) -> None:
         self._timer = None
-        if self._waiting is None or not self._matches(self._waiting[0]):
+        if self._waiting is None or not self._input_matches(self._waiting[0]):
             return
         _, _, over = self._waiting
         self._waiting = None
@@ -223,12 +223,12 @@ class Runner:
 
     # Positioning
 
-    def _position(self, positions: list[Position], over: Callable[[], None]) -> None:
-        """Start all axes of the line together; the line goes on when the last one has ended."""
+    def _start_positions(self, positions: list[PositioningCommand], over: Callable[[], None]) -> None:
+        """Start all axes of the line together; the line continues when the last one has ended."""
         machine = self._machine
         left = len(positions)
 
-        def ended(by_itself: bool) -> None:
+        def handle_axis_end(by_itself: bool) -> None:
             del by_itself
             nonlocal left
             left -= 1
@@ -236,11 +236,11 @@ class Runner:
                 over()
 
         for one in positions:
-            axis = machine.axis(one.axis)
-            steps = axis.count(one.distance)
+            axis = machine.find_axis(one.axis)
+            steps = axis.count_steps(one.distance)
             target = steps if one.absolute else axis.steps + steps
             ramps = one.run_hz is not None
-            profile = Profile(
+            profile = SpeedProfile(
                 one.start_hz,
                 one.run_hz if one.run_hz is not None else one.start_hz,
                 (one.acceleration or 1.0) * 1000.0,
@@ -249,22 +249,25 @@ class Runner:
             try:
                 machine.check_target(target)
                 if axis.task is not None:
-                    raise Refused(f"axis {axis.number} is busy")
-                start_ns = machine.start_ns() if len(positions) > 1 else None
-                machine.launch(
-                    axis, Kind.POSITIONING, positioning(machine, axis, target, profile, ramps, start_ns), ended
+                    raise InputRefused(f"axis {axis.number} is busy")
+                start_ns = machine.group_start_ns() if len(positions) > 1 else None
+                machine.launch_task(
+                    axis,
+                    TaskKind.POSITIONING,
+                    positioning_steps(machine, axis, target, profile, ramps, start_ns),
+                    handle_axis_end,
                 )
-            except Refused:
-                ended(False)
+            except InputRefused:
+                handle_axis_end(False)
 
 
 @dataclass(slots=True)
-class _Wait:
-    """Whether a wait is over, and whether the call that began it has returned."""
+class _WaitState:
+    """State of a wait: whether it is over, and whether the call that began it has returned."""
 
     over: bool = False
     returned: bool = False
 
 
-def _silent(text: str) -> None:
+def _discard_text(text: str) -> None:
     del text

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 
-class Switch(Enum):
-    """The inputs that motion can run onto."""
+class TravelSwitch(Enum):
+    """The inputs that a motion can reach."""
 
     EL_MINUS = "reverse"
     EL_PLUS = "forward"
@@ -15,35 +15,36 @@ class Switch(Enum):
     INDEX = "index"
 
 
-def limit_of(sign: int) -> Switch:
-    """The limit switch at the `sign` end of the travel."""
-    return Switch.EL_PLUS if sign > 0 else Switch.EL_MINUS
+def limit_switch(sign: int) -> TravelSwitch:
+    """Return the limit switch at the `sign` end of the travel."""
+    return TravelSwitch.EL_PLUS if sign > 0 else TravelSwitch.EL_MINUS
 
 
 @dataclass(frozen=True, slots=True)
-class Until:
-    """A motion is to end as soon as `switch` is `on`."""
+class UntilSwitch:
+    """End condition of a motion: `switch` is `on`."""
 
-    switch: Switch
+    switch: TravelSwitch
     on: bool
 
 
 @dataclass(slots=True)
-class Switches:
-    """Where each switch is on, in mechanical positions (motor steps); `held` ones are pressed from outside."""
+class TravelSwitches:
+    """Zone of each switch, in mechanical positions (motor steps); `held` ones are pressed from outside."""
 
-    zones: dict[Switch, tuple[float, float]] = field(default_factory=dict[Switch, tuple[float, float]])
-    held: dict[Switch, bool] = field(default_factory=dict[Switch, bool])
+    zones: dict[TravelSwitch, tuple[float, float]] = field(default_factory=dict[TravelSwitch, tuple[float, float]])
+    held: dict[TravelSwitch, bool] = field(default_factory=dict[TravelSwitch, bool])
 
-    def on(self, switch: Switch, place: float) -> bool:
-        """Whether the switch is on with the stage at `place`."""
+    def is_on(self, switch: TravelSwitch, place: float) -> bool:
+        """Return whether the switch is on with the stage at `place`."""
         if switch in self.held:
             return self.held[switch]
         low, high = self.zones.get(switch, (math.inf, -math.inf))
         return low <= place <= high
 
-    def bound(self, until: Until, place: float, sign: int) -> float | None:
-        """Where motion from `place` in direction `sign` first meets `until`, which does not hold at `place`."""
+    def find_bound(self, until: UntilSwitch, place: float, sign: int) -> float | None:
+        """Return where motion from `place` in direction `sign` first reaches `until`, which does not hold at
+        `place`."""
         if until.switch in self.held or until.switch not in self.zones:
             return None
         low, high = self.zones[until.switch]

@@ -1,17 +1,17 @@
-"""Configuration of one axis (section 12.1): names, ranges, defaults, and how values are written and read."""
+"""Configuration of one axis (section 12.1): names, ranges, defaults, and the text form of values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 
-from sim.ppsmc.grammar import Refused, decimal, integer, plain
-from sim.ppsmc.path import Profile
+from sim.ppsmc.grammar import InputRefused, format_decimal, parse_decimal, parse_integer
+from sim.ppsmc.path import SpeedProfile
 
 Value = int | Fraction | str
 
 
 @dataclass(slots=True)
-class Settings:
+class AxisSettings:
     """Values of one axis, by command name. Ramps are Hz/ms, speeds Hz; distances are in the axis's unit.
 
     Defaults are decision 23; those of the closed loop are decisions of this simulator.
@@ -52,125 +52,125 @@ class Settings:
     unit: str = "deg"
 
     @property
-    def gear(self) -> Fraction:
+    def steps_per_unit(self) -> Fraction:
         """Motor steps per unit of distance (L871)."""
         return self.gnum / self.gden
 
     @property
-    def profile(self) -> Profile:
+    def speed_profile(self) -> SpeedProfile:
         """The configured speed profile of goto, move, tbg, fast and spin."""
-        return Profile(float(self.frun), float(self.ffast), self.acc * 1000.0, self.dec * 1000.0)
+        return SpeedProfile(float(self.frun), float(self.ffast), self.acc * 1000.0, self.dec * 1000.0)
 
-    def copy(self) -> "Settings":
+    def copy_settings(self) -> "AxisSettings":
         return replace(self)
 
-    def take(self, other: "Settings", names: tuple[str, ...]) -> None:
-        """Take the values of `names` from `other`."""
+    def take_values(self, other: "AxisSettings", names: tuple[str, ...]) -> None:
+        """Copy the values of `names` from `other`."""
         for name in names:
             setattr(self, name, getattr(other, name))
 
-    def written(self, name: str) -> str:
-        """The value of `name` as text."""
+    def format_value(self, name: str) -> str:
+        """Format the value of `name`."""
         value: Value = getattr(self, name)
-        return plain(value) if isinstance(value, Fraction) else str(value)
+        return format_decimal(value) if isinstance(value, Fraction) else str(value)
 
 
 ALTERNATIVE = ("gnum", "gden", "frun", "ffast", "acc", "dec", "macc", "mdec")
-"""What `update1` saves and `chconf` switches: gear and speed profile (L1296-L1298)."""
+"""Parameters that `update1` saves and `chconf` switches: gear and speed profile (L1296-L1298)."""
 
-NAMES = tuple(field.name for field in fields(Settings))
+NAMES = tuple(field.name for field in fields(AxisSettings))
 
 Reader = Callable[[str, int], Value]
-"""Reads the text of a value; the second argument is fmax, Hz. Raises `Refused`."""
+"""Parses the text of a value; the second argument is fmax, Hz. Raises `InputRefused`."""
 
 
-def _whole(low: int, high: int) -> Reader:
-    return lambda text, _: integer(text, low, high)
+def _integer_reader(low: int, high: int) -> Reader:
+    return lambda text, _: parse_integer(text, low, high)
 
 
-def _one_of(*allowed: int) -> Reader:
-    def read(text: str, _: int) -> int:
-        value = integer(text, min(allowed), max(allowed))
+def _choice_reader(*allowed: int) -> Reader:
+    def read_choice(text: str, _: int) -> int:
+        value = parse_integer(text, min(allowed), max(allowed))
         if value not in allowed:
-            raise Refused(f"value {text} out of range")
+            raise InputRefused(f"value {text} out of range")
         return value
 
-    return read
+    return read_choice
 
 
-def _ramp(text: str, _: int) -> int:
-    """1-1000 Hz/ms; decimals are rounded (decision 21)."""
-    value = decimal(text)
+def _read_ramp(text: str, _: int) -> int:
+    """Parse 1-1000 Hz/ms; decimals are rounded (decision 21)."""
+    value = parse_decimal(text)
     if not 1 <= value <= 1000:
-        raise Refused(f"value {text} out of range")
+        raise InputRefused(f"value {text} out of range")
     return round(value)
 
 
-def _speed(text: str, fmax: int) -> int:
-    """1 to fmax Hz."""
-    value = decimal(text)
+def _read_speed(text: str, fmax: int) -> int:
+    """Parse 1 to fmax Hz."""
+    value = parse_decimal(text)
     if not 1 <= value <= fmax:
-        raise Refused(f"value {text} out of range")
+        raise InputRefused(f"value {text} out of range")
     return round(value)
 
 
-def _range(low: Fraction | None = None, high: Fraction | None = None, above: Fraction | None = None) -> Reader:
-    def read(text: str, _: int) -> Fraction:
-        value = decimal(text)
+def _range_reader(low: Fraction | None = None, high: Fraction | None = None, above: Fraction | None = None) -> Reader:
+    def read_decimal(text: str, _: int) -> Fraction:
+        value = parse_decimal(text)
         too_low = (low is not None and value < low) or (above is not None and value <= above)
         if too_low or (high is not None and value > high):
-            raise Refused(f"value {text} out of range")
+            raise InputRefused(f"value {text} out of range")
         return value
 
-    return read
+    return read_decimal
 
 
-def _text(most: int) -> Reader:
-    def read(text: str, _: int) -> str:
-        if len(text) > most:
-            raise Refused(f"text longer than {most} characters")
+def _text_reader(max_length: int) -> Reader:
+    def read_text(text: str, _: int) -> str:
+        if len(text) > max_length:
+            raise InputRefused(f"text longer than {max_length} characters")
         return text
 
-    return read
+    return read_text
 
 
 _ZERO, _ONE = Fraction(0), Fraction(1)
 
 READERS: dict[str, Reader] = {
-    "acc": _ramp,
-    "alias": _text(3),
-    "bln": _range(-_ONE, _ONE),
-    "blp": _range(-_ONE, _ONE),
-    "cf": _range(Fraction(99, 100), Fraction(101, 100)),
-    "conf": _whole(0, 1),
-    "dcpl": _whole(1, 8),
-    "dec": _ramp,
-    "ecl": _whole(0, 1),
-    "ect": _whole(0, 3),
-    "edev": _range(low=_ZERO),
-    "edir": _whole(0, 1),
-    "emips": _whole(-1, 255),
-    "eres": _range(above=_ZERO),
-    "esh": _whole(0, 1),
-    "esm": _one_of(1, 2, 4),
-    "est": _whole(0, 2),
-    "ffast": _speed,
-    "fn": _text(32),
-    "frun": _speed,
-    "gden": _range(above=_ZERO),
-    "gnum": _range(above=_ZERO),
-    "hsdm": _whole(0, 1),
-    "macc": _ramp,
-    "mdec": _ramp,
-    "mdir": _whole(0, 1),
-    "mpr": _whole(1, 10),
-    "prst": _range(above=_ZERO),
-    "prt": _range(low=_ZERO),
-    "rofs": _range(),
-    "sdm": _whole(0, 1),
-    "unit": _text(3),
+    "acc": _read_ramp,
+    "alias": _text_reader(3),
+    "bln": _range_reader(-_ONE, _ONE),
+    "blp": _range_reader(-_ONE, _ONE),
+    "cf": _range_reader(Fraction(99, 100), Fraction(101, 100)),
+    "conf": _integer_reader(0, 1),
+    "dcpl": _integer_reader(1, 8),
+    "dec": _read_ramp,
+    "ecl": _integer_reader(0, 1),
+    "ect": _integer_reader(0, 3),
+    "edev": _range_reader(low=_ZERO),
+    "edir": _integer_reader(0, 1),
+    "emips": _integer_reader(-1, 255),
+    "eres": _range_reader(above=_ZERO),
+    "esh": _integer_reader(0, 1),
+    "esm": _choice_reader(1, 2, 4),
+    "est": _integer_reader(0, 2),
+    "ffast": _read_speed,
+    "fn": _text_reader(32),
+    "frun": _read_speed,
+    "gden": _range_reader(above=_ZERO),
+    "gnum": _range_reader(above=_ZERO),
+    "hsdm": _integer_reader(0, 1),
+    "macc": _read_ramp,
+    "mdec": _read_ramp,
+    "mdir": _integer_reader(0, 1),
+    "mpr": _integer_reader(1, 10),
+    "prst": _range_reader(above=_ZERO),
+    "prt": _range_reader(low=_ZERO),
+    "rofs": _range_reader(),
+    "sdm": _integer_reader(0, 1),
+    "unit": _text_reader(3),
 }
-"""How the value of each configuration command is read (L217-L1276, L4529)."""
+"""Parser of each configuration command's value (L217-L1276, L4529)."""
 
 ALIASES = {
     "def": "conf",
@@ -186,11 +186,11 @@ ALIASES = {
 """Second names (section 12.1)."""
 
 
-def configure(settings: Settings, name: str, text: str, fmax: int) -> None:
-    """Set the value of configuration command `name`. Raises `Refused`."""
+def set_parameter(settings: AxisSettings, name: str, text: str, fmax: int) -> None:
+    """Set the value of configuration command `name`. Raises `InputRefused`."""
     value = READERS[name](text, fmax)
     if name == "edev" and isinstance(value, Fraction) and value < settings.eres:
-        raise Refused("edev below the resolution of the encoder")
+        raise InputRefused("edev below the resolution of the encoder")
     setattr(settings, name, value)
     if name == "conf":
         settings.unit = "mm" if value else "deg"

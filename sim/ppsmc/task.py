@@ -1,17 +1,17 @@
-"""What one axis is doing: a sequence of motions and pauses, written as a generator."""
+"""Activity of one axis: a sequence of motions and pauses, written as a generator."""
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from enum import Enum, auto
 
 from orchestrator.clock.base import Timer
-from sim.ppsmc.axis import LIMIT_ERROR, Axis
-from sim.ppsmc.drive import Drive, End
-from sim.ppsmc.path import Path, Profile
-from sim.ppsmc.sensors import Until, limit_of
+from sim.ppsmc.axis import LIMIT_ERROR, StepperAxis
+from sim.ppsmc.drive import MotionEnd, PulseGenerator
+from sim.ppsmc.path import SpeedProfile, StepPath
+from sim.ppsmc.sensors import UntilSwitch, limit_switch
 
 
-class Kind(Enum):
+class TaskKind(Enum):
     """Kinds of task."""
 
     POSITIONING = auto()
@@ -22,123 +22,123 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class MotionLeg:
     """One motion. With `seeks_limit` a limit switch ends it without an error."""
 
-    path: Path
-    profile: Profile
-    until: Until | None = None
+    path: StepPath
+    profile: SpeedProfile
+    until: UntilSwitch | None = None
     seeks_limit: bool = False
     soft: bool = False
-    """At its `Until` it decelerates instead of stopping dead."""
+    """At its `UntilSwitch` it decelerates instead of stopping dead."""
     at_ns: int | None = None
     """Device time of the start; None: now."""
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
-    """Stand still, device ns."""
+class PauseStep:
+    """Standstill, device ns."""
 
     duration_ns: int
 
 
-Steps = Generator[Leg | Pause, End, None]
+Steps = Generator[MotionLeg | PauseStep, MotionEnd, None]
 
 
-class Task:
-    """Runs the steps of one axis; `finished` is told whether they came to their end by themselves."""
+class AxisTask:
+    """Runs the steps of one axis; `finished` receives whether they completed by themselves."""
 
     def __init__(
         self,
-        drive: Drive,
-        axis: Axis,
-        kind: Kind,
+        drive: PulseGenerator,
+        axis: StepperAxis,
+        kind: TaskKind,
         steps: Steps,
-        finished: Callable[["Task", bool], None],
+        finished: Callable[["AxisTask", bool], None],
         limit_clears_reference: bool,
     ) -> None:
         self.axis = axis
         self.kind = kind
-        self.leg: Leg | None = None
+        self.leg: MotionLeg | None = None
         self._drive = drive
         self._steps = steps
         self._finished = finished
         self._limit_clears_reference = limit_clears_reference
         self._timer: Timer | None = None
 
-    def begin(self) -> None:
-        """Make the first step; can end at once."""
+    def begin_task(self) -> None:
+        """Make the first step; it can end at once."""
         self.axis.task = self
-        self._next(None)
+        self._next_step(None)
 
-    def stop(self) -> None:
-        """As by q: decelerate, and forget the rest."""
+    def stop_task(self) -> None:
+        """Stop as by q: decelerate, and discard the rest."""
         if self.axis.run is not None:
-            self._drive.quit(self.axis.run)
+            self._drive.quit_run(self.axis.run)
         else:
-            self._over(False)
+            self._finish_task(False)
 
-    def abort(self) -> None:
-        """Stop dead, and tell nobody."""
+    def abort_task(self) -> None:
+        """Stop dead without notification."""
         if self._timer is not None:
             self._timer.cancel()
         if self.axis.run is not None:
-            self._drive.halt(self.axis.run)
+            self._drive.halt_run(self.axis.run)
         self._steps.close()
         self.axis.task = None
 
-    def _next(self, end: End | None) -> None:
+    def _next_step(self, end: MotionEnd | None) -> None:
         self._timer = None
         while True:
             try:
                 step = next(self._steps) if end is None else self._steps.send(end)
             except StopIteration:
-                self._over(True)
+                self._finish_task(True)
                 return
-            if isinstance(step, Pause):
+            if isinstance(step, PauseStep):
                 self.leg = None
-                self._timer = self._drive.time.call_after(step.duration_ns, lambda: self._next(End.DONE))
+                self._timer = self._drive.time.call_after(step.duration_ns, lambda: self._next_step(MotionEnd.DONE))
                 return
             self.leg = step
-            sign = step.path.sign
+            sign = step.path.start_sign
             if sign == 0:
-                end = End.DONE
-            elif self._blocked(sign):
+                end = MotionEnd.DONE
+            elif self._is_blocked(sign):
                 if not step.seeks_limit:
                     self.axis.error = LIMIT_ERROR
-                    self._over(False)
+                    self._finish_task(False)
                     return
-                end = End.LIMIT
+                end = MotionEnd.LIMIT
             else:
-                self._drive.start(
+                self._drive.start_run(
                     self.axis,
                     step.path,
                     step.profile,
-                    self._ended,
+                    self._handle_run_end,
                     until=step.until,
                     soft=step.soft,
                     at_ns=step.at_ns,
                 )
                 return
 
-    def _blocked(self, sign: int) -> bool:
-        """An axis never moves towards its active limit (L2996)."""
+    def _is_blocked(self, sign: int) -> bool:
+        """Return whether the limit in this direction is active: an axis never moves towards it (L2996)."""
         axis = self.axis
-        return axis.switches.on(limit_of(sign), axis.steps - axis.origin)
+        return axis.switches.is_on(limit_switch(sign), axis.steps - axis.origin)
 
-    def _ended(self, end: End) -> None:
+    def _handle_run_end(self, end: MotionEnd) -> None:
         leg = self.leg
-        if end is End.STOPPED:
-            self._over(False)
-        elif end is End.LIMIT and leg is not None and not leg.seeks_limit:
+        if end is MotionEnd.STOPPED:
+            self._finish_task(False)
+        elif end is MotionEnd.LIMIT and leg is not None and not leg.seeks_limit:
             self.axis.error = LIMIT_ERROR
             if self._limit_clears_reference:
                 self.axis.referenced = False
-            self._over(False)
+            self._finish_task(False)
         else:
-            self._next(end)
+            self._next_step(end)
 
-    def _over(self, by_itself: bool) -> None:
+    def _finish_task(self, by_itself: bool) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

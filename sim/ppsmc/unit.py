@@ -1,4 +1,4 @@
-"""The control program of one unit: its switches, its program, its disk, and what is allowed when."""
+"""Control program of one controller: its switches, its program, its disk, and its permissions."""
 
 import datetime
 from collections.abc import Callable
@@ -6,40 +6,40 @@ from enum import Enum, auto
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_US
-from sim.ppsmc.axis import Axis
-from sim.ppsmc.counter import Counter
-from sim.ppsmc.disk import Disk
-from sim.ppsmc.machine import Machine
-from sim.ppsmc.options import Options
-from sim.ppsmc.program import Memory
-from sim.ppsmc.runner import Runner
-from sim.ppsmc.settings import Settings
+from sim.ppsmc.axis import StepperAxis
+from sim.ppsmc.counter import PulseCounter
+from sim.ppsmc.disk import HardDisk
+from sim.ppsmc.machine import StepperHardware
+from sim.ppsmc.options import PpsmcOptions
+from sim.ppsmc.program import ProgramMemory
+from sim.ppsmc.runner import ProgramRunner
+from sim.ppsmc.settings import AxisSettings
 
 _CALENDAR_START = datetime.datetime(2012, 2, 1)
 _DELIMITERS = ("", "\r", "\n", "\r\n")
 
 
-class Client(Protocol):
-    """Whoever sent a command: takes replies, and can be made to wait."""
+class CommandClient(Protocol):
+    """Sender of a command: receives replies, and can be delayed."""
 
-    def say(self, text: str) -> None:
+    def send_reply(self, text: str) -> None:
         """Send one reply; its delimiter is added."""
         ...
 
-    def sleep(self, duration_ns: int) -> None:
+    def delay_next(self, duration_ns: int) -> None:
         """Delay the client's next command (L2791)."""
         ...
 
 
-class Restart(Enum):
-    """What a command asks the unit to do once it is over."""
+class RestartKind(Enum):
+    """Restart that a command requests, done after it ends."""
 
     RESET = auto()
     """To the power-on state, connections stay (L2652)."""
     REBOOT = auto()
-    """The controller or its control program starts anew (L2598, L2680)."""
+    """Restart of the controller or its control program (L2598, L2680)."""
     SHUTDOWN = auto()
-    """Off until the power comes again (L2765)."""
+    """Off until the next power-up (L2765)."""
 
 
 class ComPort:
@@ -49,30 +49,30 @@ class ComPort:
         self._replies = replies
         self.open = False
         self.received = ""
-        """What has come in, not yet read."""
+        """Received characters, not yet read."""
         self.read = ""
-        """What cc_read has read, for ?ccb."""
+        """Characters that cc_read has read, for ?ccb."""
 
-    def write(self, text: str) -> None:
+    def write_text(self, text: str) -> None:
         self.received += self._replies.get(text, "")
 
 
-class Unit:
-    """One unit, powered up. Commands and queries act upon it."""
+class ControlProgram:
+    """One powered-up controller. Commands and queries act on it."""
 
-    def __init__(self, machine: Machine, options: Options) -> None:
+    def __init__(self, machine: StepperHardware, options: PpsmcOptions) -> None:
         self.machine = machine
         self.options = options
-        self.counter = Counter(machine.time, options.counter_hz)
-        self.memory = Memory(options.axes, options.msg_comma)
-        self.runner = Runner(machine, self.memory, self.counter)
-        self.disk = Disk([axis.settings.copy() for axis in machine.axes])
+        self.counter = PulseCounter(machine.time, options.counter_hz)
+        self.memory = ProgramMemory(options.axes, options.msg_comma)
+        self.runner = ProgramRunner(machine, self.memory, self.counter)
+        self.disk = HardDisk([axis.settings.copy_settings() for axis in machine.axes])
         self.com = ComPort(options.com_replies)
-        self.restart_due: Restart | None = None
+        self.restart_due: RestartKind | None = None
         self.buffers_due = False
         """The command buffers of the other connections are to be cleared (L1409)."""
         self._calendar_us = 0
-        self._movers: dict[Axis, Client] = {}
+        self._movers: dict[StepperAxis, CommandClient] = {}
         self.txdel = options.txdel
         self.stx = False
         self.echo = options.echo
@@ -84,94 +84,96 @@ class Unit:
         self.sound = True
         self.second_page = False
         self.priority = 1
-        machine.on_ended = self._axis_ended
+        machine.on_ended = self._handle_axis_end
         self.power_up()
 
     @property
-    def modern(self) -> bool:
-        """Whether the firmware is a later one than the manual's (decision 0)."""
+    def is_modern(self) -> bool:
+        """Return whether the firmware is later than the manual's (decision 0)."""
         return self.options.firmware == "1.2"
 
     @property
-    def version(self) -> str:
-        return "smc 1.2.1093" if self.modern else "smc 1.1.165"
+    def firmware_version(self) -> str:
+        return "smc 1.2.1093" if self.is_modern else "smc 1.1.165"
 
     @property
-    def idle(self) -> bool:
-        """No positioning, no program, no count."""
-        return self.machine.still and not self.runner.running and not self.counter.counting
+    def is_idle(self) -> bool:
+        """Return whether no positioning, no program and no count runs."""
+        return self.machine.is_still and not self.runner.is_running and not self.counter.is_counting
 
-    def framed(self, text: str, serial: bool) -> bytes:
-        """A reply as it goes out (L3108-L3112, L4720-L4723)."""
+    def frame_reply(self, text: str, serial: bool) -> bytes:
+        """Encode a reply for transmission (L3108-L3112, L4720-L4723)."""
         if serial and self.stx:
             text = f"\x02{text}\x03"
         return (text + _DELIMITERS[self.txdel]).encode("latin-1", "replace")
 
     # Motion
 
-    def moved_by(self, axis: Axis, client: Client) -> None:
-        """Messages about the axis's motion go to `client`."""
+    def send_messages_to(self, axis: StepperAxis, client: CommandClient) -> None:
+        """Send messages about the axis's motion to `client`."""
         self._movers[axis] = client
 
-    def _axis_ended(self, axis: Axis) -> None:
+    def _handle_axis_end(self, axis: StepperAxis) -> None:
         client = self._movers.get(axis)
         if client is None:
             return
         number, text = axis.error
         if number and self.echo:
-            client.say(f"error: axis {axis.number}: {number} {text}")
+            client.send_reply(f"error: axis {axis.number}: {number} {text}")
         elif self.echo > 1:
-            client.say(f"status: axis {axis.number} ready")
+            client.send_reply(f"status: axis {axis.number} ready")
 
     def stop_all(self) -> None:
-        """q without an axis: programs, counts and motions end (L2546, L1465, L3832)."""
-        self.runner.abort()
-        if self.counter.counting:
-            self.counter.stop()
+        """q without an axis: end programs, counts and motions (L2546, L1465, L3832)."""
+        self.runner.abort_program()
+        if self.counter.is_counting:
+            self.counter.stop_count()
         for axis in self.machine.axes:
-            self.machine.stop(axis)
+            self.machine.stop_axis(axis)
 
-    def forget_client(self, client: Client) -> None:
-        """Motions go on without the client that began them."""
+    def forget_client(self, client: CommandClient) -> None:
+        """Continue motions without the client that began them."""
         self._movers = {axis: other for axis, other in self._movers.items() if other is not client}
 
     # Configuration
 
-    def apply(self, settings: list[Settings], names: tuple[str, ...] | None, axes: list[Axis]) -> None:
-        """Take values (`names`, or all) of saved settings for `axes`."""
+    def apply_settings(
+        self, settings: list[AxisSettings], names: tuple[str, ...] | None, axes: list[StepperAxis]
+    ) -> None:
+        """Apply values (`names`, or all) of saved settings to `axes`."""
         for axis in axes:
             saved = settings[axis.number - 1]
             if names is None:
-                axis.settings = saved.copy()
+                axis.settings = saved.copy_settings()
             else:
-                axis.settings.take(saved, names)
+                axis.settings.take_values(saved, names)
 
     # Time of day
 
     @property
-    def calendar(self) -> datetime.datetime:
-        """The system clock; nothing but `?` shows it."""
+    def system_clock(self) -> datetime.datetime:
+        """The system clock; only `?` shows it."""
         running_us = self.machine.time.now_ns() // NS_PER_US
         return _CALENDAR_START + datetime.timedelta(microseconds=running_us + self._calendar_us)
 
-    def set_calendar(self, moment: datetime.datetime) -> None:
-        self._calendar_us += (moment - self.calendar) // datetime.timedelta(microseconds=1)
+    def set_system_clock(self, moment: datetime.datetime) -> None:
+        self._calendar_us += (moment - self.system_clock) // datetime.timedelta(microseconds=1)
 
     # Power
 
-    def halt(self) -> None:
+    def halt_all(self) -> None:
         """Stop everything dead."""
-        self.runner.abort()
-        self.counter.cancel()
-        self.machine.halt()
+        self.runner.abort_program()
+        self.counter.cancel_count()
+        self.machine.halt_axes()
 
     def power_up(self) -> None:
-        """The power-on state: what was not saved is gone."""
-        self.disk.start()
+        """Enter the power-on state: unsaved state is lost."""
+        self.disk.start_system()
         self.machine.power_up()
-        self.apply(self.disk.default, None, self.machine.axes)
-        self.memory.clear()
-        self.counter.clear()
+        self.apply_settings(self.disk.default, None, self.machine.axes)
+        self.memory.clear_program()
+        self.counter.clear_memory()
         self.com = ComPort(self.options.com_replies)
         self._movers.clear()
         self.append_unit = self.disk.append_unit
@@ -184,4 +186,4 @@ class Unit:
         self.runner.filter, self.runner.screen = 1, 0
 
 
-Handler = Callable[[Unit, Client, str], None]
+Handler = Callable[[ControlProgram, CommandClient, str], None]

@@ -6,22 +6,22 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from sim.core.controller import LimitSwitch
-from sim.shrc203.path import Triple
+from sim.shrc203.path import SpeedTriple
 
 if TYPE_CHECKING:
     from orchestrator.clock.base import Timer
-    from sim.shrc203.drive import Run
+    from sim.shrc203.drive import PathRun
     from sim.shrc203.entries import Entry
     from sim.shrc203.line import Reply
 
 
-class Phase(Enum):
-    """What an axis is doing; Busy is everything but IDLE."""
+class AxisPhase(Enum):
+    """Activity of an axis; Busy is everything but IDLE."""
 
     IDLE = auto()
     MOVING = auto()
     SETTLING = auto()
-    """The profile is over; in-position and the W: time are awaited (L2566)."""
+    """The profile has ended; in-position and the W: time are awaited (L2566)."""
     STANDBY = auto()
     """WT: or WI: is being executed (Busy by decision 13)."""
     AWAITING = auto()
@@ -29,7 +29,7 @@ class Phase(Enum):
 
 
 @dataclass(slots=True, eq=False)
-class Axis:
+class StageAxis:
     """One axis: counters, settings, buffers and errors. Positions are pulses."""
 
     index: int
@@ -37,23 +37,23 @@ class Axis:
     controllable: bool = True
 
     position: int = 0
-    """Pulses from the place of the first power-up, where the last finished motion ended."""
+    """Pulses from the position at the first power-up, where the last finished motion ended."""
     offset: int = 0
     """Coordinate minus position."""
     zeroed: int = 0
-    """What R: has taken off the coordinate, for RC: (L2918)."""
+    """The amount that R: has subtracted from the coordinate, for RC: (L2918)."""
     origin: int = -1000
     """The mechanical origin, as `position`."""
-    slip: int = 0
-    """Position minus what the scale has followed."""
+    scale_deviation: int = 0
+    """Position minus the position that the scale has followed."""
     stalled_at: int | None = None
-    """Where the stage is stuck, as `position`."""
+    """Position where the stage is stuck, as `position`."""
     limits: LimitSwitch | None = None
     """Limit switches pressed from outside; None: by travel."""
     travel: tuple[int, int] | None = None
     """Limit switches by travel, as `position`."""
     home_sensor: bool | None = None
-    """ORG sensor held from outside; None: by position."""
+    """ORG sensor forced from outside; None: by position."""
     soft_limits: tuple[int, int] | None = None
     """Least and greatest coordinate."""
 
@@ -63,53 +63,53 @@ class Axis:
     stage_unit: str = "P"
     axis_name: str = "1"
     config: str = "off"
-    triple: Triple = field(default_factory=lambda: Triple(100, 1000, 100))
-    origin_triple: Triple = field(default_factory=lambda: Triple(100, 1000, 100))
+    triple: SpeedTriple = field(default_factory=lambda: SpeedTriple(100, 1000, 100))
+    origin_triple: SpeedTriple = field(default_factory=lambda: SpeedTriple(100, 1000, 100))
     closed_loop: bool = False
     excited: bool = True
 
     errors: set[str] = field(default_factory=set[str])
-    """Device errors S1-S10 that stand."""
+    """Active device errors S1-S10."""
     command_error: bool = False
     limit_stop: bool = False
     """The last stop was by a limit sensor (decision 30)."""
     soft_stop: int = 0
     """Direction of the software limit that stopped the last motion, or 0."""
 
-    phase: Phase = Phase.IDLE
-    run: "Run | None" = None
+    phase: AxisPhase = AxisPhase.IDLE
+    run: "PathRun | None" = None
     execution: "Entry | None" = None
     executed: bool = False
     """The execution buffer's value has been run; it stays readable (decision 20)."""
     pre: "Entry | None" = None
     operation: "Entry | None" = None
-    """What is being executed from the buffers."""
+    """The operation being executed from the buffers."""
     timer: "Timer | None" = None
-    """Of a timed standby or a hand-over."""
+    """Timer of a timed standby or a hand-over."""
     reply: "Reply | None" = None
-    """Where completion characters go: the port that started (decision 47)."""
+    """Destination of completion characters: the port that started the operation (decision 47)."""
 
     @property
-    def busy(self) -> bool:
-        return self.phase is not Phase.IDLE
+    def is_busy(self) -> bool:
+        return self.phase is not AxisPhase.IDLE
 
     @property
     def nm_per_pulse(self) -> Fraction:
         """BASE RATE x 10 / DIVIDE (L807)."""
         return Fraction(self.base_rate * 10, self.divide)
 
-    def push(self, pulses: int) -> None:
-        """Somebody moves the stage by hand: its scale sees it, the counter of commanded pulses does not."""
+    def push_stage(self, pulses: int) -> None:
+        """Move the stage by hand: its scale detects it, the counter of commanded pulses does not."""
         self.position += pulses
         self.offset -= pulses
-        self.slip -= pulses
+        self.scale_deviation -= pulses
 
-    def hold(self) -> None:
-        """The motor holds the stage again. A closed loop brings it back to the command, as after sleep (L2313)."""
+    def restore_torque(self) -> None:
+        """Restore the motor's torque. A closed loop returns the stage to the command, as after sleep (L2313)."""
         if self.closed_loop:
-            self.position += self.slip
-            self.offset -= self.slip
-            self.slip = 0
+            self.position += self.scale_deviation
+            self.offset -= self.scale_deviation
+            self.scale_deviation = 0
 
     def check_limits(self) -> None:
         """Both limit sensors on at once are a limit error S5 (decision 28)."""
@@ -117,7 +117,7 @@ class Axis:
             self.errors.add("S5")
 
     def limit_on(self, sign: int, position: float) -> bool:
-        """Whether the limit switch at the `sign` end is on with the stage at `position`."""
+        """Return whether the limit switch at the `sign` end is on with the stage at `position`."""
         if self.limits is not None:
             return self.limits in ("both", "forward" if sign > 0 else "reverse")
         if self.travel is None:

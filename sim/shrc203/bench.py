@@ -1,4 +1,4 @@
-"""The bench that test vectors of the SHRC-203 run on."""
+"""Bench for test vectors of the SHRC-203."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -6,14 +6,14 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 from sim.core.controller import LimitSwitch
-from sim.shrc203.axis import Axis
+from sim.shrc203.axis import StageAxis
 from sim.shrc203.controller import Shrc203Controller
-from sim.shrc203.inputs import bit
+from sim.shrc203.inputs import bit_mask
 from sim.shrc203.status import ERRORS
 
 
-class _Truth(BaseModel):
-    """The physical truths of a vector; axis names are "1", "2", "3", positions are pulses."""
+class _GivenState(BaseModel):
+    """Ground truth of a vector; axis names are "1", "2", "3", positions are pulses."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -30,8 +30,8 @@ class _Truth(BaseModel):
     power: Literal["cycle"] | None = None
 
 
-class Bench:
-    """A controller without delays, and the handles that vectors need."""
+class Shrc203Bench:
+    """A controller without delays, with the handles that vectors need."""
 
     def __init__(self, controller: Shrc203Controller) -> None:
         self._controller = controller
@@ -41,46 +41,46 @@ class Bench:
         return self._controller
 
     @property
-    def port(self) -> str:
+    def port_name(self) -> str:
         return "serial"
 
-    def given(self, truth: Mapping[str, object]) -> None:
-        """Bring about what a vector's `given` or a `setup` step states."""
-        stated = _Truth.model_validate(dict(truth))
+    def apply_given(self, state: Mapping[str, object]) -> None:
+        """Set up the state of a vector's `given` or of a `setup` step."""
+        stated = _GivenState.model_validate(dict(state))
         controller, unit = self._controller, self._controller.unit
         if stated.power is not None:
             controller.set_power(False)
             controller.set_power(True)
         for name, coordinate in stated.position.items():
-            axis = self._axis(name)
+            axis = self._find_axis(name)
             axis.position = coordinate - axis.offset
         for name, coordinate in stated.encoder.items():
-            axis = self._axis(name)
-            axis.slip = axis.position + axis.offset - coordinate
+            axis = self._find_axis(name)
+            axis.scale_deviation = axis.position + axis.offset - coordinate
         for number, level in stated.inputs.items():
             controller.set_input(number, level)
         for number, level in stated.outputs.items():
             value = unit.outputs.value
-            unit.outputs.set(value | bit(number) if level else value & ~bit(number))
+            unit.outputs.set_levels(value | bit_mask(number) if level else value & ~bit_mask(number))
         for name, which in stated.limits.items():
             controller.set_limit(name, which)
         for name, on in stated.home.items():
-            self._axis(name).home_sensor = on
+            self._find_axis(name).home_sensor = on
         for name in stated.motor_off:
-            self._axis(name).excited = False
+            self._find_axis(name).excited = False
         for name in stated.stalled:
             controller.set_stalled(name, True)
         for error, names in stated.error.items():
             if error not in ERRORS:
                 raise ValueError(f"no error {error!r}; there are {', '.join(sorted(ERRORS))}")
             for name in names:
-                self._axis(name).errors.add(error)
+                self._find_axis(name).errors.add(error)
 
-    def refused(self, reply: bytes) -> bool:
+    def is_refusal(self, reply: bytes) -> bool:
         return reply.strip() in (b"NG", b"NG_I")
 
-    def _axis(self, name: str) -> Axis:
+    def _find_axis(self, name: str) -> StageAxis:
         for axis in self._controller.unit.axes:
             if axis.name == name:
                 return axis
-        raise ValueError(f"no axis {name!r}; there are {', '.join(self._controller.axes)}")
+        raise ValueError(f"no axis {name!r}; there are {', '.join(self._controller.axis_names)}")

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from fractions import Fraction
 
-from sim.shrc203.axis import Axis
+from sim.shrc203.axis import StageAxis
 from sim.shrc203.options import DIVISIONS
 
 MAX_PULSES = 999_999_999
@@ -23,78 +23,78 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "C": (1, 2),
     "D": (0, 1, 2),
 }
-"""Axis letters and the indices they stand for; W, or nothing where allowed, is all controllable axes."""
+"""Axis letters and their axis indices; W, or nothing where allowed, is all controllable axes."""
 
 NUMBER = r"\d+(?:\.\d+)?"
 TRIPLE = re.compile(rf"S({NUMBER})F({NUMBER})R(\d+)")
 _NM_PER_UNIT = {"N": 1, "U": 1_000, "M": 1_000_000}
 
 
-class Refused(Exception):
+class CommandRefused(Exception):
     """The command is answered NG."""
 
 
-def integer(text: str, low: int, high: int) -> int:
-    """`text` as a plain decimal integer in [low, high]; a sign only where `low` is negative."""
+def parse_integer(text: str, low: int, high: int) -> int:
+    """Parse `text` as a plain decimal integer in [low, high]; a sign only where `low` is negative."""
     digits = text[1:] if text[:1] in ("-", "+") and low < 0 else text
     if not (digits.isascii() and digits.isdigit()) or len(digits) > 12:
-        raise Refused
+        raise CommandRefused
     value = int(text)
     if not low <= value <= high:
-        raise Refused
+        raise CommandRefused
     return value
 
 
-def division(text: str) -> int:
-    """A division number of the motor driver (L2548)."""
-    value = integer(text, 1, 8000)
+def parse_division(text: str) -> int:
+    """Parse a division number of the motor driver (L2548)."""
+    value = parse_integer(text, 1, 8000)
     if value not in DIVISIONS:
-        raise Refused
+        raise CommandRefused
     return value
 
 
-def nearest(value: Fraction) -> int:
-    """Nearest integer, halves away from zero (decision 36)."""
+def round_nearest(value: Fraction) -> int:
+    """Round to the nearest integer, halves away from zero (decision 36)."""
     magnitude = (2 * abs(value.numerator) + value.denominator) // (2 * value.denominator)
     return magnitude if value >= 0 else -magnitude
 
 
-def size(axis: Axis, unit: str) -> Fraction:
-    """One pulse in `unit` (N, U, M or D; P and F: 1). D exists on rotary stages only."""
+def pulse_size(axis: StageAxis, unit: str) -> Fraction:
+    """Return one pulse in `unit` (N, U, M or D; P and F: 1). D exists on rotary stages only."""
     if unit in "PF":
         return Fraction(1)
     if unit == "D":
         if axis.deg_per_pulse is None:
-            raise Refused
+            raise CommandRefused
         return axis.deg_per_pulse
     return axis.nm_per_pulse / _NM_PER_UNIT[unit]
 
 
-def pulses(axis: Axis, unit: str, number: str, maximum: int = MAX_PULSES) -> int:
-    """An amount (no sign) in `unit` as pulses. Pulses themselves are whole."""
+def parse_pulses(axis: StageAxis, unit: str, number: str, maximum: int = MAX_PULSES) -> int:
+    """Convert an amount (no sign) in `unit` to pulses. Pulses themselves are whole."""
     if unit in "PF":
-        return integer(number, 0, maximum)
+        return parse_integer(number, 0, maximum)
     if len(number) > 24:
-        raise Refused
-    value = nearest(Fraction(number) / size(axis, unit))
+        raise CommandRefused
+    value = round_nearest(Fraction(number) / pulse_size(axis, unit))
     if value > maximum:
-        raise Refused
+        raise CommandRefused
     return value
 
 
-def speed(axis: Axis, unit: str, number: str) -> int:
-    """A speed in `unit` per second as pls/s, 1 to 1,000,000; a converted one is at least 1 (decision 36)."""
+def parse_speed(axis: StageAxis, unit: str, number: str) -> int:
+    """Convert a speed in `unit` per second to pls/s, 1 to 1,000,000; a converted one is at least 1 (decision 36)."""
     if unit in "PF":
-        return integer(number, 1, MAX_SPEED)
+        return parse_integer(number, 1, MAX_SPEED)
     if Fraction(number) == 0:
-        raise Refused
-    return max(1, pulses(axis, unit, number, MAX_SPEED))
+        raise CommandRefused
+    return max(1, parse_pulses(axis, unit, number, MAX_SPEED))
 
 
-def decimal(value: Fraction, decimals: int | None = None) -> str:
-    """Plain decimal; up to nine decimals without trailing zeros, or exactly `decimals`."""
+def format_decimal(value: Fraction, decimals: int | None = None) -> str:
+    """Format a plain decimal; up to nine decimals without trailing zeros, or exactly `decimals`."""
     places = 9 if decimals is None else decimals
-    scaled = nearest(abs(value) * 10**places)
+    scaled = round_nearest(abs(value) * 10**places)
     sign = "-" if value < 0 and scaled else ""
     whole, rest = divmod(scaled, 10**places)
     text = f"{rest:0{places}d}" if places else ""
@@ -103,27 +103,27 @@ def decimal(value: Fraction, decimals: int | None = None) -> str:
     return f"{sign}{whole}.{text}" if text else f"{sign}{whole}"
 
 
-def in_unit(axis: Axis, unit: str, value: int) -> str:
-    """Pulses (or pls/s) in `unit`, without letter, minus sign only (decision 15)."""
-    return str(value) if unit in "PF" else decimal(value * size(axis, unit))
+def format_in_unit(axis: StageAxis, unit: str, value: int) -> str:
+    """Format pulses (or pls/s) in `unit`, without letter, minus sign only (decision 15)."""
+    return str(value) if unit in "PF" else format_decimal(value * pulse_size(axis, unit))
 
 
 def split_repeated(pattern: re.Pattern[str], text: str, count: int) -> list[re.Match[str]]:
-    """`text` as exactly `count` repetitions of `pattern`, one after the other."""
+    """Match `text` as exactly `count` repetitions of `pattern`, one after the other."""
     found: list[re.Match[str]] = []
     at = 0
     for _ in range(count):
         match = pattern.match(text, at)
         if match is None or match.end() == at:
-            raise Refused
+            raise CommandRefused
         found.append(match)
         at = match.end()
     if at != len(text):
-        raise Refused
+        raise CommandRefused
     return found
 
 
-def letter_of(axes: Sequence[Axis]) -> str:
-    """The axis letter of these axes, as the replies of ?:K and ?:E name them."""
+def axis_letter(axes: Sequence[StageAxis]) -> str:
+    """Return the axis letter of these axes, as the replies of ?:K and ?:E name them."""
     indices = tuple(axis.index for axis in axes)
     return next(letter for letter, group in GROUPS.items() if group == indices)

@@ -1,7 +1,7 @@
 """General-purpose inputs and outputs, and waiting for an input pattern.
 
-The unit scans its inputs every millisecond of its own time (decision 43) and compares all six at once. No scan
-is scheduled unless the pattern that somebody waits for is there: only then can the next one matter.
+The controller scans its inputs every millisecond of its own time (decision 43) and compares all six at once. A scan is
+scheduled only while an awaited pattern is present: only then can the next scan matter.
 """
 
 from collections.abc import Callable
@@ -14,16 +14,18 @@ LINES = 6
 """IN1-IN6 and OUT1-OUT6 (L5270-L5357)."""
 
 
-def bit(number: int) -> int:
-    """The mask of input or output `number` (L5274)."""
+def bit_mask(number: int) -> int:
+    """Return the mask of input or output `number` (L5274)."""
     if not 1 <= number <= LINES:
-        raise ValueError(f"there is no general-purpose line {number}; they are 1 to {LINES}")
+        raise ValueError(f"there is no general-purpose input or output {number}; they are 1 to {LINES}")
     return 1 << (number - 1)
 
 
 @dataclass(slots=True)
-class Inputs:
-    """The six inputs. `phase_ns`: device time of the first scan, below 1 ms."""
+class InputScanner:
+    """The six inputs.
+
+    phase_ns: device time of the first scan, below 1 ms."""
 
     time: DeviceTime
     phase_ns: int = 0
@@ -33,44 +35,44 @@ class Inputs:
     )
     _timer: Timer | None = None
 
-    def set(self, number: int, level: bool) -> None:
-        mask = bit(number)
+    def set_level(self, number: int, level: bool) -> None:
+        mask = bit_mask(number)
         self.value = self.value | mask if level else self.value & ~mask
-        self._arm()
+        self._arm_scan()
 
-    def wait(self, who: object, pattern: int, released: Callable[[int], None]) -> None:
+    def wait_for_pattern(self, owner: object, pattern: int, released: Callable[[int], None]) -> None:
         """Call `released` with the device instant of the first scan that sees `pattern` (0-63)."""
-        self._waits[who] = (pattern, released)
-        self._arm()
+        self._waits[owner] = (pattern, released)
+        self._arm_scan()
 
-    def forget(self, who: object) -> None:
-        self._waits.pop(who, None)
+    def cancel_wait(self, owner: object) -> None:
+        self._waits.pop(owner, None)
 
-    def _arm(self) -> None:
+    def _arm_scan(self) -> None:
         if self._timer is None and any(pattern == self.value for pattern, _ in self._waits.values()):
             scans = -(-(self.time.now_ns() - self.phase_ns) // NS_PER_MS)
             at_ns = self.phase_ns + scans * NS_PER_MS
-            self._timer = self.time.call_at(at_ns, lambda: self._scan(at_ns))
+            self._timer = self.time.call_at(at_ns, lambda: self._run_scan(at_ns))
 
-    def _scan(self, at_ns: int) -> None:
+    def _run_scan(self, at_ns: int) -> None:
         self._timer = None
         seen = [(who, released) for who, (pattern, released) in self._waits.items() if pattern == self.value]
-        for who, _ in seen:
-            del self._waits[who]
+        for owner, _ in seen:
+            del self._waits[owner]
         for _, released in seen:
             released(at_ns)
 
 
 @dataclass(slots=True)
-class Outputs:
-    """The six outputs; they hold until changed (L5359)."""
+class OutputLevels:
+    """The six outputs; they stay until changed (L5359)."""
 
     value: int = 0
     listeners: list[Callable[[int, bool], None]] = field(default_factory=list[Callable[[int, bool], None]])
 
-    def set(self, value: int) -> None:
+    def set_levels(self, value: int) -> None:
         changed, self.value = self.value ^ value, value
         for number in range(1, LINES + 1):
-            if changed & bit(number):
+            if changed & bit_mask(number):
                 for listener in self.listeners:
-                    listener(number, bool(value & bit(number)))
+                    listener(number, bool(value & bit_mask(number)))

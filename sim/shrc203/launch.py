@@ -1,18 +1,20 @@
-"""From what a buffer holds to a running motion."""
+"""Start of a motion from a buffered operation."""
 
 from collections.abc import Callable
 
-from sim.shrc203.axis import Axis
-from sim.shrc203.drive import Cause, Drive, Kind, Run
-from sim.shrc203.entries import Arc, Jog, Line, Travel
+from sim.shrc203.axis import StageAxis
+from sim.shrc203.drive import EndCause, PathGenerator, PathRun, RunKind
+from sim.shrc203.entries import ArcMove, JogMove, LinearMove, TravelMove
 from sim.shrc203.geometry import arc_paths, line_paths
-from sim.shrc203.path import Triple, endless, trapezoid
+from sim.shrc203.path import SpeedTriple, endless_path, trapezoid_path
 
-Ready = Callable[[Run, int, Cause], None]
+Ready = Callable[[PathRun, int, EndCause], None]
 
 
-def travel(drive: Drive, axis: Axis, distance: int, triple: Triple, kind: Kind, at_ns: int, ready: Ready) -> Run:
-    """Move one axis by `distance` pls, as far as the software limits let it (decision 29)."""
+def start_travel(
+    drive: PathGenerator, axis: StageAxis, distance: int, triple: SpeedTriple, kind: RunKind, at_ns: int, ready: Ready
+) -> PathRun:
+    """Move one axis by `distance` pls, as far as the software limits allow (decision 29)."""
     soft_sign = 0
     if axis.soft_limits is not None and distance:
         low, high = axis.soft_limits
@@ -21,25 +23,29 @@ def travel(drive: Drive, axis: Axis, distance: int, triple: Triple, kind: Kind, 
         if allowed != distance:
             soft_sign = 1 if distance > 0 else -1
             distance = allowed
-    return drive.start([(axis, trapezoid(distance, triple))], triple, kind, at_ns, ready, soft_sign)
+    return drive.start_run([(axis, trapezoid_path(distance, triple))], triple, kind, at_ns, ready, soft_sign)
 
 
-def interpolate(drive: Drive, entry: Line | Arc, triple: Triple, at_ns: int, ready: Ready) -> Run:
+def start_interpolation(
+    drive: PathGenerator, entry: LinearMove | ArcMove, triple: SpeedTriple, at_ns: int, ready: Ready
+) -> PathRun:
     """Run a line or an arc at the minimum speed S of `triple` (L4585)."""
     speed = triple.s
-    paths = line_paths(entry, speed) if isinstance(entry, Line) else arc_paths(entry, speed)
-    return drive.start(paths, triple, Kind.INTERPOLATION, at_ns, ready)
+    paths = line_paths(entry, speed) if isinstance(entry, LinearMove) else arc_paths(entry, speed)
+    return drive.start_run(paths, triple, RunKind.INTERPOLATION, at_ns, ready)
 
 
-def launch(drive: Drive, entry: Travel | Jog | Line | Arc, at_ns: int, ready: Ready) -> Run:
-    """Start what a buffer holds. Speeds given with it replace the working triple of its first axis (L3867)."""
+def start_entry(
+    drive: PathGenerator, entry: TravelMove | JogMove | LinearMove | ArcMove, at_ns: int, ready: Ready
+) -> PathRun:
+    """Start a buffered operation. Speeds given with it replace the working triple of its first axis (L3867)."""
     first = entry.axes[0]
     if entry.triple is not None:
         first.triple = entry.triple
-    if isinstance(entry, Travel):
+    if isinstance(entry, TravelMove):
         distance = entry.pulses - (first.position + first.offset) if entry.absolute else entry.pulses
-        return travel(drive, first, distance, first.triple, Kind.MOVE, at_ns, ready)
-    if isinstance(entry, Jog):
-        path = endless(float(entry.sign * first.triple.s))
-        return drive.start([(first, path)], first.triple, Kind.JOG, at_ns, ready)
-    return interpolate(drive, entry, first.triple, at_ns, ready)
+        return start_travel(drive, first, distance, first.triple, RunKind.MOVE, at_ns, ready)
+    if isinstance(entry, JogMove):
+        path = endless_path(float(entry.sign * first.triple.s))
+        return drive.start_run([(first, path)], first.triple, RunKind.JOG, at_ns, ready)
+    return start_interpolation(drive, entry, first.triple, at_ns, ready)

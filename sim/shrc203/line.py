@@ -1,10 +1,10 @@
-"""Lines on the serial port (decisions 1 and 5) and where answers go."""
+"""Lines on the serial port (decisions 1 and 5) and the destination of answers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 Reply = Callable[[str], None]
-"""Takes one reply line, without its terminator."""
+"""Receives one reply line, without its terminator."""
 
 _NUL = 0
 _CR = 13
@@ -13,8 +13,11 @@ _FIRST_NON_ASCII = 128
 
 
 @dataclass(frozen=True, slots=True)
-class CommandLine:
-    """One received line. `clean`: neither NUL nor non-ASCII bytes in it (L237); `whole`: not over-long."""
+class ReceivedLine:
+    """One received line.
+
+    clean: neither NUL nor non-ASCII bytes in it (L237).
+    whole: not over-long."""
 
     text: str
     clean: bool
@@ -22,39 +25,39 @@ class CommandLine:
 
 
 @dataclass(slots=True)
-class LineReader:
-    """Cuts the bytes of one port into lines. A line ends with LF, or CR LF; with `cr_only`, with CR.
+class SerialLineReader:
+    """Splits the bytes of one port into lines. A line ends with LF, or CR LF; with `cr_only`, with CR.
 
-    There is no inter-character time-out: half a line waits for its other half.
+    There is no inter-character timeout: a partial line waits for its other part.
     """
 
     limit: int
     cr_only: bool
     _pending: bytearray = field(default_factory=bytearray)
 
-    def lines(self, data: bytes) -> list[CommandLine]:
-        """Lines that `data` completes. Empty ones are dropped."""
+    def read_lines(self, data: bytes) -> list[ReceivedLine]:
+        """Return the lines that `data` completes. Empty ones are dropped."""
         end = _CR if self.cr_only else _LF
-        found: list[CommandLine] = []
+        found: list[ReceivedLine] = []
         *complete, rest = data.split(bytes((end,)))
         for piece in complete:
-            self._keep(piece)
+            self._append_piece(piece)
             line = bytes(self._pending)
             self._pending.clear()
             line = line.removeprefix(b"\n") if self.cr_only else line.removesuffix(b"\r")
             if line:
                 clean = not any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in line)
-                found.append(CommandLine(line.decode("latin-1"), clean, len(line) <= self.limit))
-        self._keep(rest)
+                found.append(ReceivedLine(line.decode("latin-1"), clean, len(line) <= self.limit))
+        self._append_piece(rest)
         return found
 
-    def clear(self) -> None:
-        """Forget half a line."""
+    def discard_partial(self) -> None:
+        """Discard a partial line."""
         self._pending.clear()
 
-    def _keep(self, piece: bytes) -> None:
+    def _append_piece(self, piece: bytes) -> None:
         room = self.limit + 2 - len(self._pending)
         self._pending += piece[: max(0, room)]
-        # What no longer fits is not needed, but whether it spoils the line is.
+        # Characters above the limit are not needed, but whether they spoil the line is.
         if len(piece) > room and any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in piece[max(0, room) :]):
             self._pending[0] = _NUL

@@ -1,4 +1,4 @@
-"""How one SHRC-203 is built, wired and set: its options, and the knobs where the manual leaves a choice."""
+"""Options of one SHRC-203: its construction, wiring and settings, and the choices that the manual leaves open."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -13,13 +13,13 @@ RampMs = Annotated[int, Field(ge=1, le=1000)]
 
 _COARSE = (1, 2, 3, 4, 5, 6, 8, 10, 12, 20, 25, 30, 40, 50, 60, 80, 100, 120, 125, 200, 250, 300, 400, 600, 800)
 DIVISIONS = frozenset((*_COARSE, 1000, 2000, 4000, 8000))
-"""Divisions that the motor drivers know (L2548-L2552)."""
+"""Divisions that the motor drivers support (L2548-L2552)."""
 
 
-class Options(BaseModel):
+class Shrc203Options(BaseModel):
     """Options of one simulated SHRC-203. Unknown ones are refused.
 
-    The first group describes the unit and its stages; the second chooses between readings of the manual.
+    The first group describes the controller and its stages; the second chooses between readings of the manual.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -31,7 +31,7 @@ class Options(BaseModel):
     divide: int = 2000
     """Memory switch MOTOR DRIVER-DIVIDE of all axes (L2520)."""
     deg_per_pulse: dict[AxisKey, Annotated[float, Field(gt=0)]] = {}
-    """Rotary stages: degrees per pulse, which unit letter D converts with."""
+    """Rotary stages: degrees per pulse, the factor of unit letter D."""
     scales: bool = False
     """Linear scales fitted on all axes; closed loop and T:E need them."""
     scale_resolution_nm: Annotated[int, Field(ge=1)] = 1
@@ -41,7 +41,7 @@ class Options(BaseModel):
         "3",
     ]
     config: Annotated[list[Config], Field(min_length=3, max_length=3)] = ["off", "off", "off"]
-    """Memory switches CONFIG1-3 and what was found on the connector (L1813-L1854)."""
+    """Memory switches CONFIG1-3 and the stage found on the connector (L1813-L1854)."""
     speed: tuple[Speed, Speed, RampMs] = (100, 1000, 100)
     """S, F (pls/s), R (ms) of every axis and speed number in memory switch SPEED."""
     origin_speed: tuple[Speed, Speed, RampMs] = (100, 1000, 100)
@@ -60,7 +60,7 @@ class Options(BaseModel):
     cr_only_input: bool = False
     """Decision 1: a lone CR ends a line (and LF is ignored)."""
     strict_case: bool = False
-    """Decision 3: only upper case is understood."""
+    """Decision 3: only upper case is accepted."""
     strict_blanks: bool = False
     """Decision 4: blanks inside a command are errors."""
     line_limit: Annotated[int, Field(ge=16)] = 256
@@ -90,7 +90,7 @@ class Options(BaseModel):
     arc_unit_required: bool = False
     """Decision 35: a value without unit letter in E and EP is NG."""
     reset_s: Annotated[float, Field(ge=0, le=60)] = 3.0
-    """Decision 39: the unit is silent this long after RESET: and power-on by reset."""
+    """Decision 39: the controller is silent this long after RESET: and power-on by reset."""
     jo_refused: bool = False
     """Decision 40: JO: is unknown instead of the same as JD:."""
     hit_refused: bool = False
@@ -99,11 +99,11 @@ class Options(BaseModel):
     """Closed loop: the deviation from the command that is an overflow error S4, pulses."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Options":
+    def _check_consistency(self) -> "Shrc203Options":
         if not self.controllable or sorted(set(self.controllable)) != self.controllable:
-            raise ValueError("controllable: one to three different axis numbers, ascending")
+            raise ValueError("controllable: give one to three different axis numbers, ascending")
         if self.divide not in DIVISIONS:
-            raise ValueError(f"divide: one of {sorted(DIVISIONS)}")
+            raise ValueError(f"divide: must be one of {sorted(DIVISIONS)}")
         for name, speed in (("speed", self.speed), ("origin_speed", self.origin_speed)):
             if speed[0] > speed[1]:
                 raise ValueError(f"{name}: S must not exceed F")
@@ -113,9 +113,11 @@ class Options(BaseModel):
         return self
 
 
-def read_options(options: Mapping[str, object]) -> Options:
-    """The options, checked. `ValueError` names what is wrong and, for an unknown name, the allowed ones."""
-    unknown = sorted(set(options) - set(Options.model_fields))
+def read_options(options: Mapping[str, object]) -> Shrc203Options:
+    """Validate the options. `ValueError` states the error and, for an unknown name, the allowed ones."""
+    unknown = sorted(set(options) - set(Shrc203Options.model_fields))
     if unknown:
-        raise ValueError(f"unknown option {', '.join(unknown)}; allowed: {', '.join(sorted(Options.model_fields))}")
-    return Options.model_validate(dict(options))
+        raise ValueError(
+            f"unknown option {', '.join(unknown)}; allowed: {', '.join(sorted(Shrc203Options.model_fields))}"
+        )
+    return Shrc203Options.model_validate(dict(options))

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.core.ramps import TINY, Segment, first_at, first_toward
+from sim.core.ramps import TINY, RampSegment, first_at, first_toward
 
 
 @dataclass(frozen=True, slots=True)
-class Triple:
+class SpeedTriple:
     """Minimum speed S and maximum speed F, pls/s, and acceleration time R, ms (section 4.1)."""
 
     s: int
@@ -17,21 +17,21 @@ class Triple:
     r: int
 
     @property
-    def start(self) -> int:
-        """The speed that a move starts and ends with; JD: can leave F below S."""
+    def start_speed(self) -> int:
+        """The speed at which a move starts and ends; JD: can leave F below S."""
         return min(self.s, self.f)
 
     @property
-    def slope(self) -> float:
+    def ramp_slope(self) -> float:
         """Acceleration, pls/s²; 0 when S = F."""
-        return (self.f - self.start) * 1000.0 / self.r
+        return (self.f - self.start_speed) * 1000.0 / self.r
 
     def __str__(self) -> str:
         return f"S{self.s}F{self.f}R{self.r}"
 
 
-class Path(Protocol):
-    """Where an axis is commanded to be, relative to where it started."""
+class AxisPath(Protocol):
+    """Commanded displacement of an axis relative to its start."""
 
     @property
     def duration(self) -> float:
@@ -43,16 +43,16 @@ class Path(Protocol):
         """Displacement at the end, whole pulses."""
         ...
 
-    def at(self, t: float) -> tuple[float, float]:
-        """Displacement and velocity `t` seconds after the start."""
+    def state_at(self, t: float) -> tuple[float, float]:
+        """Return displacement and velocity `t` seconds after the start."""
         ...
 
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
-        """First time >= `after` at or beyond `bound` in direction `sign` while moving in that direction."""
+        """Return the first time >= `after` at or beyond `bound` in direction `sign` while moving in that direction."""
         ...
 
     def first_toward(self, sign: int, after: float) -> float | None:
-        """First time >= `after` with motion in direction `sign`."""
+        """Return the first time >= `after` with motion in direction `sign`."""
         ...
 
 
@@ -60,11 +60,11 @@ class Path(Protocol):
 class RampPath:
     """Segments of constant acceleration; the velocity does not change its sign inside a segment."""
 
-    segments: tuple[Segment, ...]
+    segments: tuple[RampSegment, ...]
     duration: float
     end: int
 
-    def at(self, t: float) -> tuple[float, float]:
+    def state_at(self, t: float) -> tuple[float, float]:
         if t >= self.duration:
             return float(self.end), 0.0
         segment = self.segments[0]
@@ -82,89 +82,90 @@ class RampPath:
 
 
 class PathBuilder:
-    """Puts segments one after the other."""
+    """Appends segments one after the other."""
 
     def __init__(self, x: float = 0.0) -> None:
-        self._segments: list[Segment] = []
+        self._segments: list[RampSegment] = []
         self.t = 0.0
         self.x = x
 
-    def ramp(self, v: float, to_v: float, duration: float) -> None:
-        """Velocity changes linearly from `v` to `to_v` in `duration` seconds."""
+    def add_ramp(self, v: float, to_v: float, duration: float) -> None:
+        """Change the velocity linearly from `v` to `to_v` in `duration` seconds."""
         if duration <= 0.0:
             return
-        self._segments.append(Segment(self.t, self.x, v, (to_v - v) / duration))
+        self._segments.append(RampSegment(self.t, self.x, v, (to_v - v) / duration))
         self.t += duration
         self.x += 0.5 * (v + to_v) * duration
 
-    def cruise(self, v: float, distance: float) -> None:
-        """`distance` (of v's sign) at constant velocity."""
+    def add_cruise(self, v: float, distance: float) -> None:
+        """Travel `distance` (of v's sign) at constant velocity."""
         if distance and v:
-            self._segments.append(Segment(self.t, self.x, v, 0.0))
+            self._segments.append(RampSegment(self.t, self.x, v, 0.0))
             self.t += distance / v
             self.x += distance
 
-    def move(self, distance: float, triple: Triple) -> None:
-        """Acceleration, cruise and deceleration over `distance`, from and to speed S (decision 8)."""
+    def add_move(self, distance: float, triple: SpeedTriple) -> None:
+        """Accelerate, cruise and decelerate over `distance`, from and to speed S (decision 8)."""
         if not distance:
             return
         sign = math.copysign(1.0, distance)
-        length, s, f, slope = abs(distance), float(triple.start), float(triple.f), triple.slope
+        length, s, f, slope = abs(distance), float(triple.start_speed), float(triple.f), triple.ramp_slope
         ramps = (s + f) * triple.r * 1e-3
         if slope == 0.0:
-            self.cruise(sign * s, distance)
+            self.add_cruise(sign * s, distance)
         elif length >= ramps:
-            self.ramp(sign * s, sign * f, triple.r * 1e-3)
-            self.cruise(sign * f, sign * (length - ramps))
-            self.ramp(sign * f, sign * s, triple.r * 1e-3)
+            self.add_ramp(sign * s, sign * f, triple.r * 1e-3)
+            self.add_cruise(sign * f, sign * (length - ramps))
+            self.add_ramp(sign * f, sign * s, triple.r * 1e-3)
         else:
             peak = math.sqrt(s * s + slope * length)
-            self.ramp(sign * s, sign * peak, (peak - s) / slope)
-            self.ramp(sign * peak, sign * s, (peak - s) / slope)
+            self.add_ramp(sign * s, sign * peak, (peak - s) / slope)
+            self.add_ramp(sign * peak, sign * s, (peak - s) / slope)
 
-    def done(self, end: int | None = None) -> RampPath:
-        """The path; it ends at `end`, or at the last whole pulse that it came by."""
+    def build_path(self, end: int | None = None) -> RampPath:
+        """Return the path; it ends at `end`, or at the last whole pulse that it passed."""
         return RampPath(
-            tuple(self._segments) or (Segment(0.0, self.x, 0.0, 0.0),),
+            tuple(self._segments) or (RampSegment(0.0, self.x, 0.0, 0.0),),
             self.t,
             math.trunc(self.x + math.copysign(TINY, self.x)) if end is None else end,
         )
 
 
-def trapezoid(distance: int, triple: Triple) -> RampPath:
-    """The move of `distance` pulses with this speed triple."""
+def trapezoid_path(distance: int, triple: SpeedTriple) -> RampPath:
+    """Build the move of `distance` pulses with this speed triple."""
     builder = PathBuilder()
-    builder.move(distance, triple)
-    return builder.done(distance)
+    builder.add_move(distance, triple)
+    return builder.build_path(distance)
 
 
-def constant(distance: int, duration: float) -> RampPath:
-    """`distance` pulses at constant velocity in `duration` seconds."""
+def constant_path(distance: int, duration: float) -> RampPath:
+    """Build a path of `distance` pulses at constant velocity in `duration` seconds."""
     if not distance:
-        return RampPath((Segment(0.0, 0.0, 0.0, 0.0),), duration, 0)
-    return RampPath((Segment(0.0, 0.0, distance / duration, 0.0),), duration, distance)
+        return RampPath((RampSegment(0.0, 0.0, 0.0, 0.0),), duration, 0)
+    return RampPath((RampSegment(0.0, 0.0, distance / duration, 0.0),), duration, distance)
 
 
-def endless(velocity: float, x: float = 0.0) -> RampPath:
-    """Constant velocity until something stops it (jog)."""
-    return RampPath((Segment(0.0, x, velocity, 0.0),), math.inf, 0)
+def endless_path(velocity: float, x: float = 0.0) -> RampPath:
+    """Build a path of constant velocity without an end (jog)."""
+    return RampPath((RampSegment(0.0, x, velocity, 0.0),), math.inf, 0)
 
 
-def decelerated(x: float, velocity: float, triple: Triple) -> RampPath:
-    """From displacement `x` and `velocity` down to speed S with the slope of the ramps, then stop (decision 26)."""
+def deceleration_path(x: float, velocity: float, triple: SpeedTriple) -> RampPath:
+    """Build a path from displacement `x` and `velocity` down to speed S with the slope of the ramps, then stop
+    (decision 26)."""
     builder = PathBuilder(x)
-    low = math.copysign(min(abs(velocity), float(triple.start)), velocity)
-    if triple.slope:
-        builder.ramp(velocity, low, (abs(velocity) - abs(low)) / triple.slope)
-    return builder.done()
+    low = math.copysign(min(abs(velocity), float(triple.start_speed)), velocity)
+    if triple.ramp_slope:
+        builder.add_ramp(velocity, low, (abs(velocity) - abs(low)) / triple.ramp_slope)
+    return builder.build_path()
 
 
-def joined(distances: Sequence[int], triples: Sequence[Triple]) -> RampPath:
-    """Complete moves one after the other, each from and to its speed S."""
+def joined_path(distances: Sequence[int], triples: Sequence[SpeedTriple]) -> RampPath:
+    """Build complete moves one after the other, each from and to its speed S."""
     builder = PathBuilder()
     for distance, triple in zip(distances, triples, strict=True):
-        builder.move(distance, triple)
-    return builder.done(sum(distances))
+        builder.add_move(distance, triple)
+    return builder.build_path(sum(distances))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +182,7 @@ class ArcPath:
     duration: float
     end: int
 
-    def at(self, t: float) -> tuple[float, float]:
+    def state_at(self, t: float) -> tuple[float, float]:
         if t >= self.duration:
             return float(self.end), 0.0
         angle = self.phase + self.omega * max(0.0, t)
@@ -190,7 +191,7 @@ class ArcPath:
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
         if not self.omega or after >= self.duration:
             return None
-        x, _ = self.at(after)
+        x, _ = self.state_at(after)
         if sign * (x - bound) >= 0:
             return self.first_toward(sign, after)
         ratio = (bound - self.centre) / self.radius
@@ -200,19 +201,19 @@ class ArcPath:
         angle = math.acos(ratio)
         if sign * self.omega > 0:
             angle = -angle
-        t = self._next(angle, after)
+        t = self._next_time(angle, after)
         return t if t < self.duration else None
 
     def first_toward(self, sign: int, after: float) -> float | None:
         if not self.omega or after >= self.duration:
             return None
-        if sign * self.at(after)[1] > 0:
+        if sign * self.state_at(after)[1] > 0:
             return after
-        t = self._next(math.pi if sign > 0 else 0.0, after)
+        t = self._next_time(math.pi if sign > 0 else 0.0, after)
         return t if t < self.duration else None
 
-    def _next(self, angle: float, after: float) -> float:
-        """First time >= `after` at which the phase is `angle`, whole turns aside."""
+    def _next_time(self, angle: float, after: float) -> float:
+        """Return the first time >= `after` at which the phase is `angle`, apart from whole turns."""
         period = 2.0 * math.pi / abs(self.omega)
         t = (angle - self.phase) / self.omega
         return t + math.ceil((after - t) / period) * period

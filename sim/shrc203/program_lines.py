@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from fractions import Fraction
 
-from sim.shrc203.grammar import MAX_PULSES, NUMBER, Refused, decimal, integer
+from sim.shrc203.grammar import MAX_PULSES, NUMBER, CommandRefused, format_decimal, parse_integer
 
 PROGRAMS = 8
 LINES = 4000
@@ -51,7 +51,7 @@ _FIXED: dict[str, tuple[str, ...]] = {
     "NONE": (),
 }
 _ENABLED = {"K": (2, 3), "CM": (1, 1), "CA": (1, 1), "E": (2, 2), "EH": (2, 2)}
-"""How many axes must be enabled (L5810, L5852, L6101); the other patterns take one to three."""
+"""Number of axes that must be enabled (L5810, L5852, L6101); the other patterns take one to three."""
 _TRIGGERED = frozenset(("M", "A", "K", "E", "EH", "PAV"))
 _OWN_TRIGGERS = {"CM": (0, 2), "CA": (0, 2), "H": (ONE_SHOT, NO_TRIGGER), "Z": (ONE_SHOT, NO_TRIGGER)}
 _ANGLE = re.compile(NUMBER)
@@ -59,7 +59,7 @@ _ANGLE = re.compile(NUMBER)
 
 @dataclass(frozen=True, slots=True)
 class ProgramLine:
-    """One line: its pattern, its fields by the manual's names, and the text that P:GET gives."""
+    """One line: its pattern, its fields by the manual's names, and the text that P:GET returns."""
 
     pattern: str
     fields: dict[str, int]
@@ -77,8 +77,8 @@ _END = ProgramLine("END", {}, Fraction(0), "END")
 NONE = ProgramLine("NONE", {}, Fraction(0), "NONE")
 
 
-class _Fields:
-    """Takes the fields of a line one by one."""
+class _LineFields:
+    """Reads the fields of a line one by one."""
 
     def __init__(self, texts: list[str]) -> None:
         self._texts = texts
@@ -86,77 +86,77 @@ class _Fields:
         self.angle = Fraction(0)
         self.taken: list[str] = []
 
-    def take(self, name: str, low: int, high: int) -> int:
-        value = integer(self._next(), low, high)
+    def take_field(self, name: str, low: int, high: int) -> int:
+        value = parse_integer(self._next_text(), low, high)
         self.values[name] = value
         self.taken.append(str(value))
         return value
 
-    def take_all(self, names: tuple[str, ...], most_degrees: int) -> None:
+    def take_fields(self, names: tuple[str, ...], max_degrees: int) -> None:
         for name in names:
             if name == "al":
-                text = self._next()
-                if not _ANGLE.fullmatch(text) or len(text) > 20 or Fraction(text) > most_degrees:
-                    raise Refused
+                text = self._next_text()
+                if not _ANGLE.fullmatch(text) or len(text) > 20 or Fraction(text) > max_degrees:
+                    raise CommandRefused
                 self.angle = Fraction(text)
-                self.taken.append(decimal(self.angle))
+                self.taken.append(format_decimal(self.angle))
             else:
-                self.take(name, *_RANGES[name])
+                self.take_field(name, *_RANGES[name])
 
-    def left(self) -> int:
+    def fields_left(self) -> int:
         return len(self._texts) - len(self.taken)
 
-    def _next(self) -> str:
-        if not self.left():
-            raise Refused
+    def _next_text(self) -> str:
+        if not self.fields_left():
+            raise CommandRefused
         return self._texts[len(self.taken)]
 
 
 def parse_line(texts: list[str]) -> ProgramLine:
-    """A line from its fields, pattern first. Raises `Refused` for anything the manual does not allow."""
-    pattern, fields = texts[0], _Fields(texts[1:])
+    """Parse a line from its fields, pattern first. Raises `CommandRefused` for anything the manual does not allow."""
+    pattern, fields = texts[0], _LineFields(texts[1:])
     if pattern in ("E", "EH"):
-        fields.take_all((*_AXES, "cm"), 0)
+        fields.take_fields((*_AXES, "cm"), 0)
         forms, degrees = (_ARC, 360) if pattern == "E" else (_HELIX, 360_000)
-        fields.take_all((*forms[fields.values["cm"] // 2], *_TAIL), degrees)
+        fields.take_fields((*forms[fields.values["cm"] // 2], *_TAIL), degrees)
     elif pattern in _FIXED:
-        fields.take_all(_FIXED[pattern], 0)
+        fields.take_fields(_FIXED[pattern], 0)
     else:
-        raise Refused
+        raise CommandRefused
     if pattern in _TRIGGERED:
-        _take_trigger(fields)
-    if fields.left():
-        raise Refused
+        _read_trigger(fields)
+    if fields.fields_left():
+        raise CommandRefused
     values = fields.values
     if pattern in _OWN_TRIGGERS and values["tm"] not in _OWN_TRIGGERS[pattern]:
-        raise Refused
+        raise CommandRefused
     line = ProgramLine(pattern, values, fields.angle, ",".join([pattern, *fields.taken]))
     if "as1" in values:
         low, high = _ENABLED.get(pattern, (1, 3))
         if not low <= len(line.axes) <= high:
-            raise Refused
+            raise CommandRefused
     if pattern == "PAV" and any(not values[f"m{index + 1}"] for index in line.axes):
-        raise Refused
+        raise CommandRefused
     return line
 
 
-def _take_trigger(fields: _Fields) -> None:
-    """tm, and ta and tv for the modes that have them (L5730); ta is 1 in timer mode (L5733)."""
-    mode = fields.take("tm", *_RANGES["tm"])
+def _read_trigger(fields: _LineFields) -> None:
+    """Read tm, and ta and tv for the modes that have them (L5730); ta is 1 in timer mode (L5733)."""
+    mode = fields.take_field("tm", *_RANGES["tm"])
     if mode not in _INTERVALS:
         return
-    axis = fields.take("ta", *_RANGES["ta"])
+    axis = fields.take_field("ta", *_RANGES["ta"])
     low, high = _INTERVALS[mode]
-    interval = fields.take("tv", -high if mode in (2, 3) else low, high)
+    interval = fields.take_field("tv", -high if mode in (2, 3) else low, high)
     if abs(interval) < low or (mode == 1 and axis != 1):
-        raise Refused
+        raise CommandRefused
 
 
 Program = dict[int, ProgramLine]
-"""Lines by number; a line that is not there is NONE."""
+"""Lines by number; a missing line is NONE."""
 
 
-class Programs:
+class StoredPrograms:
     """The stored programs, the selected one (1-8), and the copy being edited."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class Programs:
         self._edited: Program = {}
 
     @property
-    def current(self) -> Program:
+    def current_program(self) -> Program:
         return self._stored[self.selected - 1]
 
     def power_down(self) -> None:
@@ -173,10 +173,10 @@ class Programs:
 
     def begin_edit(self) -> None:
         """P:ON (L5642)."""
-        self._edited = copy.copy(self.current)
+        self._edited = copy.copy(self.current_program)
 
-    def save(self) -> None:
-        """P:OFF: appends END if no line has one and line 4000 is free, and saves (L5670)."""
+    def save_edited(self) -> None:
+        """P:OFF: append END if no line has one and line 4000 is free, and save (L5670)."""
         lines = self._edited
         if not any(line.pattern == "END" for line in lines.values()):
             last = max(lines, default=0)
@@ -185,15 +185,15 @@ class Programs:
         self._stored[self.selected - 1] = lines
         self._edited = {}
 
-    def put(self, number: int, line: ProgramLine) -> None:
+    def put_line(self, number: int, line: ProgramLine) -> None:
         if line.pattern == "NONE":
             self._edited.pop(number, None)
         else:
             self._edited[number] = line
 
-    def get(self, number: int) -> ProgramLine:
+    def get_line(self, number: int) -> ProgramLine:
         return self._edited.get(number, NONE)
 
-    def clear(self) -> None:
+    def clear_lines(self) -> None:
         """P:INIT: every line NONE (L7299)."""
         self._edited.clear()

@@ -1,12 +1,12 @@
-"""What the unit says about itself when polled: `!:`, `Q:`, `SRQ:` (section 7)."""
+"""Polled status of the controller: `!:`, `Q:`, `SRQ:` (section 7)."""
 
 import re
 from fractions import Fraction
 
-from sim.shrc203.axis import Axis, Phase
-from sim.shrc203.drive import Kind
-from sim.shrc203.grammar import GROUPS, Refused, decimal, size
-from sim.shrc203.unit import Unit
+from sim.shrc203.axis import AxisPhase, StageAxis
+from sim.shrc203.drive import RunKind
+from sim.shrc203.grammar import GROUPS, CommandRefused, format_decimal, pulse_size
+from sim.shrc203.unit import StageSystem
 
 _ERROR_BITS = {
     "S1": 0x4,
@@ -21,7 +21,7 @@ _ERROR_BITS = {
     "S10": 0x4000,
 }
 ERRORS = frozenset(_ERROR_BITS)
-"""Device errors that can stand on an axis (L448)."""
+"""Device errors that an axis can have (L448)."""
 _NORMAL, _COMMAND_ERROR = 0x1, 0x2
 _OUT_READY, _OUT_BUSY = 0x8000, 0x10000
 _ZERO_RETURN, _ORIGIN_RETURN = 0x20000, 0x40000
@@ -42,8 +42,8 @@ _LIMIT_LETTERS: dict[tuple[int, ...], str] = {
 _DETAILED = re.compile(r"S([NUMDP]?)([EC]?)")
 
 
-def word(unit: Unit, axis: Axis, at_ns: int) -> int:
-    """The 25-bit status word of an axis (L519-L567); 0 for an invalid one. Forward is CW."""
+def status_word(unit: StageSystem, axis: StageAxis, at_ns: int) -> int:
+    """Return the 25-bit status word of an axis (L519-L567); 0 for an invalid one. Forward is CW."""
     if not axis.controllable:
         return 0
     bits = _COMMAND_ERROR if axis.command_error else 0
@@ -54,16 +54,16 @@ def word(unit: Unit, axis: Axis, at_ns: int) -> int:
         bits = _NORMAL
     run = axis.run
     if run is not None:
-        if run.kind is Kind.ORIGIN:
+        if run.kind is RunKind.ORIGIN:
             bits |= _ORIGIN_RETURN
-        elif run.kind is Kind.ZERO:
+        elif run.kind is RunKind.ZERO:
             bits |= _ZERO_RETURN
-    position = unit.drive.position(axis, at_ns)
+    position = unit.drive.output_position(axis, at_ns)
     if axis.closed_loop:
-        away = unit.drive.followed(axis, at_ns) != position
-        settling = axis.phase is Phase.SETTLING and unit.options.settle_ms > 0
+        away = unit.drive.scale_position(axis, at_ns) != position
+        settling = axis.phase is AxisPhase.SETTLING and unit.options.settle_ms > 0
         if away or settling:
-            bits |= _OUT_BUSY if axis.busy else _OUT_READY
+            bits |= _OUT_BUSY if axis.is_busy else _OUT_READY
     if axis.limit_on(1, position):
         bits |= _CW
     if axis.limit_on(-1, position):
@@ -78,11 +78,11 @@ def word(unit: Unit, axis: Axis, at_ns: int) -> int:
     return bits
 
 
-def _busy_letter(unit: Unit) -> str:
-    return "B" if any(axis.busy for axis in unit.controllable) else "R"
+def _busy_letter(unit: StageSystem) -> str:
+    return "B" if any(axis.is_busy for axis in unit.controllable) else "R"
 
 
-def _summary(unit: Unit) -> str:
+def _format_summary(unit: StageSystem) -> str:
     """Fields e, s, r of Q: and SRQ: (L426-L452)."""
     if any(axis.errors for axis in unit.controllable):
         stop = "R"
@@ -91,68 +91,68 @@ def _summary(unit: Unit) -> str:
     return f"{'X' if unit.command_error else 'K'},{stop},{_busy_letter(unit)}"
 
 
-def _state(axis: Axis) -> str:
+def _axis_state(axis: StageAxis) -> str:
     if not axis.controllable:
         return "D"
-    return "B" if axis.busy else "R"
+    return "B" if axis.is_busy else "R"
 
 
-def _named(unit: Unit, letter: str) -> list[Axis]:
-    """Addressed axes, invalid ones too (decision 32)."""
+def _named_axes(unit: StageSystem, letter: str) -> list[StageAxis]:
+    """Return the addressed axes, invalid ones too (decision 32)."""
     if letter in ("", "W"):
         return unit.controllable
     if letter not in GROUPS:
-        raise Refused
+        raise CommandRefused
     return [unit.axes[index] for index in GROUPS[letter]]
 
 
-def positioning(unit: Unit, text: str) -> str:
+def answer_positioning(unit: StageSystem, text: str) -> str:
     """!: and !:aS (L329-L400)."""
     if not text:
         return _busy_letter(unit)
     if text[-1] != "S":
-        raise Refused
-    return ",".join(_state(axis) for axis in _named(unit, text[:-1]))
+        raise CommandRefused
+    return ",".join(_axis_state(axis) for axis in _named_axes(unit, text[:-1]))
 
 
-def status(unit: Unit, text: str) -> str:
+def answer_status(unit: StageSystem, text: str) -> str:
     """SRQ: and SRQ:aS (L593-L729)."""
     if not text:
-        return _summary(unit)
+        return _format_summary(unit)
     if text[-1] != "S":
-        raise Refused
-    axes = _named(unit, text[:-1])
+        raise CommandRefused
+    axes = _named_axes(unit, text[:-1])
     at_ns = unit.time.now_ns()
-    return ",".join([*(f"{word(unit, axis, at_ns):X}" for axis in axes), *(_state(axis) for axis in axes)])
+    return ",".join([*(f"{status_word(unit, axis, at_ns):X}" for axis in axes), *(_axis_state(axis) for axis in axes)])
 
 
-def coordinates(unit: Unit, text: str) -> str:
+def answer_coordinates(unit: StageSystem, text: str) -> str:
     """Q: and Q:Suc (L402-L591)."""
     at_ns = unit.time.now_ns()
     if not text:
-        fields = [unit.coordinate(axis, at_ns) if axis.controllable else 0 for axis in unit.axes]
-        return ",".join([*(f"{'-' if c < 0 else '+'}{abs(c):9d}" for c in fields), _summary(unit)])
+        fields = [unit.command_coordinate(axis, at_ns) if axis.controllable else 0 for axis in unit.axes]
+        return ",".join([*(f"{'-' if c < 0 else '+'}{abs(c):9d}" for c in fields), _format_summary(unit)])
     match = _DETAILED.fullmatch(text)
     if match is None:
-        raise Refused
+        raise CommandRefused
     letter, counter = match.groups()
-    values = [_in_unit(unit, axis, letter or axis.stage_unit, counter == "E", at_ns) for axis in unit.axes]
-    words = [f"{word(unit, axis, at_ns):X}" for axis in unit.axes]
-    return ",".join([*values, *words, *(_state(axis) for axis in unit.axes)])
+    values = [_format_in_unit(unit, axis, letter or axis.stage_unit, counter == "E", at_ns) for axis in unit.axes]
+    words = [f"{status_word(unit, axis, at_ns):X}" for axis in unit.axes]
+    return ",".join([*values, *words, *(_axis_state(axis) for axis in unit.axes)])
 
 
-def _in_unit(unit: Unit, axis: Axis, letter: str, scale: bool, at_ns: int) -> str:
-    """Unit letter, sign and value of a coordinate (decision 15); 0 for an invalid axis (L511)."""
+def _format_in_unit(unit: StageSystem, axis: StageAxis, letter: str, scale: bool, at_ns: int) -> str:
+    """Format unit letter, sign and value of a coordinate (decision 15); 0 for an invalid axis (L511)."""
     if not axis.controllable:
         return "0"
-    value = unit.scale_coordinate(axis, at_ns) if scale else unit.coordinate(axis, at_ns)
+    value = unit.scale_coordinate(axis, at_ns) if scale else unit.command_coordinate(axis, at_ns)
     if letter == "D" and axis.deg_per_pulse is None:
         # A linear stage has no degrees; the other axes of the reply may.
         number = Fraction(0)
     elif letter == "P" and scale:
         number = Fraction(value) * axis.nm_per_pulse / unit.options.scale_resolution_nm
     else:
-        number = value * size(axis, letter)
+        number = value * pulse_size(axis, letter)
     decimals = unit.options.fixed_decimals if letter != "P" else None
-    text = decimal(number, decimals)
+    text = format_decimal(number, decimals)
     return f"{letter}{'+' if number > 0 else ''}{text}"

@@ -1,15 +1,15 @@
 """Memory switches: nine items of numbered contents (L7367-L7375).
 
-The manual names the contents of GENERAL and one of SPEED; the others are in its other volume, so the numbering
-of the rest is this simulator's, and contents without a name here are stored and have no effect.
+The manual names the contents of GENERAL and one of SPEED; the others are in its other volume, so the numbering of the
+rest is this simulator's, and contents without a name here are stored and have no effect.
 """
 
 import copy
 from collections.abc import Sequence
 
-from sim.shrc203.grammar import MAX_PULSES, MAX_RAMP_MS, MAX_SPEED, Refused, division, integer
-from sim.shrc203.options import Options
-from sim.shrc203.path import Triple
+from sim.shrc203.grammar import MAX_PULSES, MAX_RAMP_MS, MAX_SPEED, CommandRefused, parse_division, parse_integer
+from sim.shrc203.options import Shrc203Options
+from sim.shrc203.path import SpeedTriple
 
 GENERAL, INTERFACE, SENSOR, AXIS, MOTOR_DRIVER, SPEED, ORG, FEEDBACK, SOFT_LIMIT = range(9)
 
@@ -30,8 +30,8 @@ _RESTARTING = (INTERFACE, SENSOR, AXIS, MOTOR_DRIVER, FEEDBACK, SOFT_LIMIT)
 Items = list[list[str]]
 
 
-def _contents(options: Options) -> Items:
-    """The contents of all items for a unit with these options."""
+def _build_contents(options: Shrc203Options) -> Items:
+    """Return the contents of all items for a controller with these options."""
     soft: list[str] = []
     for key in ("1", "2", "3"):
         low, high = options.soft_limit_pls.get(key, (-MAX_PULSES, MAX_PULSES))
@@ -54,74 +54,74 @@ def _contents(options: Options) -> Items:
     ]
 
 
-class Switches:
+class MemorySwitches:
     """The saved settings, and the copy that is edited between MS:ON and MS:OFF."""
 
-    def __init__(self, options: Options) -> None:
-        self._saved = _contents(options)
-        self._defaults = _contents(Options(scales=options.scales))
+    def __init__(self, options: Shrc203Options) -> None:
+        self._saved = _build_contents(options)
+        self._defaults = _build_contents(Shrc203Options(scales=options.scales))
         self._edited = copy.deepcopy(self._saved)
 
     # Editing
 
-    def begin(self) -> None:
+    def begin_edit(self) -> None:
         self._edited = copy.deepcopy(self._saved)
 
-    def save(self) -> bool:
-        """MS:OFF (L7342). True when a change makes the unit restart by itself."""
+    def save_edited(self) -> bool:
+        """MS:OFF (L7342). Return True when a change makes the controller restart by itself."""
         before, self._saved = self._saved, copy.deepcopy(self._edited)
         general = any(before[GENERAL][n] != self._saved[GENERAL][n] for n in (G_AXIS, G_FORMAT))
         return general or any(before[item] != self._saved[item] for item in _RESTARTING)
 
-    def put(self, item: int, content: int, text: str) -> None:
-        self._edited[item][content] = _checked(item, content, text)
+    def put_content(self, item: int, content: int, text: str) -> None:
+        self._edited[item][content] = _check_content(item, content, text)
 
-    def put_all(self, item: int, texts: Sequence[str]) -> None:
+    def put_item(self, item: int, texts: Sequence[str]) -> None:
         if len(texts) != len(self._edited[item]):
-            raise Refused
-        self._edited[item] = [_checked(item, content, text) for content, text in enumerate(texts)]
+            raise CommandRefused
+        self._edited[item] = [_check_content(item, content, text) for content, text in enumerate(texts)]
 
-    def restore(self, item: int, content: int) -> None:
+    def restore_content(self, item: int, content: int) -> None:
         self._edited[item][content] = self._defaults[item][content]
 
-    def restore_all(self, item: int) -> None:
+    def restore_item(self, item: int) -> None:
         self._edited[item] = list(self._defaults[item])
 
-    def edited(self, item: int) -> list[str]:
+    def edited_texts(self, item: int) -> list[str]:
         return self._edited[item]
 
-    def defaults(self, item: int) -> list[str]:
+    def default_texts(self, item: int) -> list[str]:
         return self._defaults[item]
 
-    # What the unit works with
+    # Values in use
 
-    def general(self, content: int) -> int:
+    def general_value(self, content: int) -> int:
         return int(self._saved[GENERAL][content])
 
-    def controllable(self) -> tuple[int, ...]:
-        return AXIS_CODES[self.general(G_AXIS)]
+    def controllable_axes(self) -> tuple[int, ...]:
+        return AXIS_CODES[self.general_value(G_AXIS)]
 
-    def axis(self, content: int, index: int) -> str:
-        """Content of item AXIS, `A_…`, of the axis with this index."""
+    def axis_content(self, content: int, index: int) -> str:
+        """Return content of item AXIS, `A_…`, of the axis with this index."""
         return self._saved[AXIS][content + index]
 
-    def divide(self, index: int) -> int:
+    def division_number(self, index: int) -> int:
         return int(self._saved[MOTOR_DRIVER][index])
 
-    def power_up_speed(self, index: int) -> Triple:
-        """The triple chosen by SPEED SEL (L4902)."""
-        return self.speed(index, int(self._saved[SPEED][0]))
+    def power_up_speed(self, index: int) -> SpeedTriple:
+        """Return the triple chosen by SPEED SEL (L4902)."""
+        return self.speed_triple(index, int(self._saved[SPEED][0]))
 
-    def speed(self, index: int, number: int) -> Triple:
-        """Speed number 1-4 of an axis. Content 4 is SPEED12 (S): axis 1, number 2 (L7392)."""
+    def speed_triple(self, index: int, number: int) -> SpeedTriple:
+        """Return speed number 1-4 of an axis. Content 4 is SPEED12 (S): axis 1, number 2 (L7392)."""
         at = 1 + 3 * (4 * index + number - 1)
         s, f, r = self._saved[SPEED][at : at + 3]
-        return Triple(int(s), int(f), int(r))
+        return SpeedTriple(int(s), int(f), int(r))
 
-    def origin_speed(self, index: int) -> Triple:
+    def origin_speed(self, index: int) -> SpeedTriple:
         at = ORG_SPEEDS + 3 * index
         s, f, r = self._saved[ORG][at : at + 3]
-        return Triple(int(s), int(f), int(r))
+        return SpeedTriple(int(s), int(f), int(r))
 
     def closed_loop(self, index: int) -> bool:
         return self._saved[FEEDBACK][index] == "0"
@@ -131,19 +131,19 @@ class Switches:
         return (int(low), int(high)) if enabled == "1" else None
 
 
-def _checked(item: int, content: int, text: str) -> str:
-    """`text` if content `content` of `item` can have that value; as it is read back."""
+def _check_content(item: int, content: int, text: str) -> str:
+    """Return `text` in read-back form if content `content` of `item` can have that value."""
     if item == AXIS and A_NAME <= content < A_BASE_RATE:
         if len(text) == 1 and (text in "123456789" or "A" <= text <= "Z"):
             return text
-        raise Refused
+        raise CommandRefused
     if item == MOTOR_DRIVER:
-        return str(division(text))
-    low, high = _bounds(item, content)
-    return str(integer(text, low, high))
+        return str(parse_division(text))
+    low, high = _content_bounds(item, content)
+    return str(parse_integer(text, low, high))
 
 
-def _bounds(item: int, content: int) -> tuple[int, int]:
+def _content_bounds(item: int, content: int) -> tuple[int, int]:
     if item == GENERAL:
         return 0, _GENERAL_TOP[content]
     if item == AXIS:

@@ -3,40 +3,40 @@
 from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Branch, Timing
+from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
-from sim.smc30.bench import Bench
-from sim.smc30.bus import BusUnit, build_bus
+from sim.smc30.bench import Smc30Bench
+from sim.smc30.bus import BusDevice, build_bus
 from sim.smc30.controller import Smc30Controller, build_controller
 from sim.smc30.options import read_options
 
 
-class Smc30:
-    """The model, alone or several on one line, as the group `tutti.simulators` names it."""
+class Smc30Simulator:
+    """The model as the group `tutti.simulators` refers to it, alone or several on one line."""
 
     @property
     def model(self) -> str:
         return "smc30"
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> Smc30Controller:
-        """A powered-up controller; `ValueError` for a wrong option."""
+        """Build a powered-up controller; `ValueError` for a wrong option."""
         return build_controller(clock, read_options(options), oscillator, timing, seed)
 
-    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> Bench:
-        """The same, with a firmware that takes no time unless the options say so."""
-        return Bench(build_controller(clock, read_options(options, ideal=True), None, None, 0))
+    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> Smc30Bench:
+        """Build a controller whose firmware takes no time unless the options say otherwise."""
+        return Smc30Bench(build_controller(clock, read_options(options, ideal=True), None, None, 0))
 
-    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Smc30Controller, Sequence[BusUnit]]:
-        """Units with addresses on one line; `ValueError` for a wrong option."""
-        return build_bus(clock, units)
+    def build_shared(self, clock: Clock, devices: Sequence[DeviceSpec]) -> tuple[Smc30Controller, Sequence[BusDevice]]:
+        """Build devices with addresses on one line; `ValueError` for a wrong option."""
+        return build_bus(clock, devices)
 
 
-SMC30 = Smc30()
+SMC30 = Smc30Simulator()

@@ -1,4 +1,4 @@
-"""The bench that test vectors of the SMC30 run on."""
+"""Bench for test vectors of the SMC30."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -9,8 +9,8 @@ from sim.core.controller import LimitSwitch
 from sim.smc30.controller import Smc30Controller
 
 
-class _Truth(BaseModel):
-    """The physical truths of a vector: positions in steps, analogue inputs in volts."""
+class _GivenState(BaseModel):
+    """Ground truth of a vector: positions in steps, analogue inputs in volts."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -23,8 +23,8 @@ class _Truth(BaseModel):
     power: Literal["cycle"] | None = None
 
 
-class Bench:
-    """A controller without delays, and the handles that vectors need."""
+class Smc30Bench:
+    """A controller without delays, with the handles that vectors need."""
 
     def __init__(self, controller: Smc30Controller) -> None:
         self._controller = controller
@@ -34,18 +34,18 @@ class Bench:
         return self._controller
 
     @property
-    def port(self) -> str:
+    def port_name(self) -> str:
         return "serial"
 
-    def given(self, truth: Mapping[str, object]) -> None:
-        """Bring about what a vector's `given` or a `setup` step states."""
-        stated = _Truth.model_validate(dict(truth))
+    def apply_given(self, state: Mapping[str, object]) -> None:
+        """Set up the state of a vector's `given` or of a `setup` step."""
+        stated = _GivenState.model_validate(dict(state))
         controller = self._controller
         if stated.power is not None:
             controller.set_power(False)
             controller.set_power(True)
         for axis, counter in stated.position.items():
-            controller.unit(axis).drive.set_counter(counter)
+            controller.find_indexer(axis).drive.set_counter(counter)
         for number, level in stated.inputs.items():
             controller.set_input(number, level)
         for number, volts in stated.analog.items():
@@ -57,6 +57,6 @@ class Bench:
         for axis in stated.stalled:
             controller.set_stalled(axis, True)
 
-    def refused(self, reply: bytes) -> bool:
-        """Whether one of the answers is an error, or B: not taken."""
+    def is_refusal(self, reply: bytes) -> bool:
+        """Return whether one of the answers is an error, or B (not accepted)."""
         return any(line[:1] in (b"E", b"B") for line in reply.split(b"\r"))

@@ -1,124 +1,124 @@
-"""Units that share one serial line as separate controllers of a fleet (L875-L884)."""
+"""SMC30 devices that share one serial line as separate controllers of a fleet (L875-L884)."""
 
 import random
 from collections.abc import Callable, Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Branch, Connection, LimitSwitch, Motion, Send
-from sim.smc30.controller import STOP_INPUT, Place, Smc30Controller, Station
+from sim.core.controller import CommandedMotion, DeviceSpec, LimitSwitch, PortConnection, SendBytes
+from sim.smc30.controller import STOP_INPUT, BusStation, DeviceSetup, Smc30Controller
 from sim.smc30.inputs import USER_INPUTS
-from sim.smc30.options import Options, UnitOptions, read_options
+from sim.smc30.options import IndexerOptions, Smc30Options, read_options
 from sim.smc30.outputs import USER_OUTPUTS
 
 _AXIS = "1"
-_OF_THE_LINE = tuple(sorted(Options.model_fields.keys() - UnitOptions.model_fields.keys() - {"units"}))
+_OF_THE_LINE = tuple(sorted(Smc30Options.model_fields.keys() - IndexerOptions.model_fields.keys() - {"units"}))
 
 
-class BusUnit:
-    """One unit of a bus; fulfils `SimulatedController`. Its axis is `1`, its inputs are 1-3, and 4 the Stop input."""
+class BusDevice:
+    """One device of a bus; implements `SimulatedController`. Axis `1`, inputs 1-3, and 4 the Stop input."""
 
-    def __init__(self, bus: Smc30Controller, station: Station) -> None:
+    def __init__(self, bus: Smc30Controller, station: BusStation) -> None:
         self._bus = bus
         self._station = station
         self._unit = station.unit
 
     @property
-    def ports(self) -> tuple[str, ...]:
-        return self._bus.ports
+    def port_names(self) -> tuple[str, ...]:
+        return self._bus.port_names
 
     @property
-    def axes(self) -> tuple[str, ...]:
+    def axis_names(self) -> tuple[str, ...]:
         return (_AXIS,)
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
-        """The line that it shares; raises `PortRefused`."""
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
+        """Connect to the shared line; raises `PortRefused`."""
         return self._bus.connect(port, send, closed)
 
-    # The world
+    # Environment
 
     def set_power(self, on: bool) -> None:
         self._station.set_power(on)
 
     def set_input(self, number: int, level: bool) -> None:
         if number == STOP_INPUT:
-            self._unit.hold(level)
+            self._unit.set_stop_input(level)
         elif 1 <= number <= USER_INPUTS:
             self._unit.inputs.set_user(number, level)
         else:
             raise ValueError(f"no input {number}; there are 1-{USER_INPUTS} and the Stop input {STOP_INPUT}")
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
-        self._require(axis)
+        self._require_axis(axis)
         self._unit.drive.set_limits(which)
 
     def set_stalled(self, axis: str, stalled: bool) -> None:
-        """Without effect on anything that the unit knows: it is open loop and counts the steps it commands."""
+        """Ignored by the device: it is open loop and counts the steps it commands."""
         del stalled
-        self._require(axis)
+        self._require_axis(axis)
 
-    def push(self, axis: str, counts: int) -> None:
-        """Of a motor at rest; raises `ValueError` while it turns."""
-        self._require(axis)
-        self._unit.drive.push(counts)
+    def push_axis(self, axis: str, counts: int) -> None:
+        """Push a motor at rest; raises `ValueError` while it turns."""
+        self._require_axis(axis)
+        self._unit.drive.push_axis(counts)
 
-    def output(self, number: int) -> bool:
+    def output_level(self, number: int) -> bool:
         if not 1 <= number <= USER_OUTPUTS:
             raise ValueError(f"no output {number}; there are 1-{USER_OUTPUTS}")
-        return self._unit.outputs.level(number)
+        return self._unit.outputs.output_level(number)
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
         self._unit.outputs.listeners.append(listener)
 
-    # The truth
+    # Ground truth
 
     def position(self, axis: str) -> float:
-        """The position counter, with the part of a step that is under way."""
-        self._require(axis)
-        return self._unit.drive.exact()[0]
+        """Position counter, with the fraction of the step in progress."""
+        self._require_axis(axis)
+        return self._unit.drive.exact_state()[0]
 
-    def place(self, axis: str) -> float:
-        self._require(axis)
-        return self._unit.drive.place
+    def physical_position(self, axis: str) -> float:
+        self._require_axis(axis)
+        return self._unit.drive.physical_steps
 
     def velocity(self, axis: str) -> float:
-        self._require(axis)
-        return self._unit.drive.exact()[1] * self._unit.time.rate()
+        self._require_axis(axis)
+        return self._unit.drive.exact_state()[1] * self._unit.time.clock_rate()
 
-    def moving(self, axis: str) -> bool:
-        self._require(axis)
-        return self._unit.drive.moving
+    def is_moving(self, axis: str) -> bool:
+        self._require_axis(axis)
+        return self._unit.drive.is_moving
 
     def at_rest(self) -> bool:
-        return not (self._unit.busy or self._station.decoding)
+        return not (self._unit.is_busy or self._station.is_decoding)
 
     @property
-    def motions(self) -> Sequence[Motion]:
+    def commanded_motions(self) -> Sequence[CommandedMotion]:
         return self._station.record
 
-    def _require(self, axis: str) -> None:
+    def _require_axis(self, axis: str) -> None:
         if axis != _AXIS:
-            raise ValueError(f"no axis {axis!r}; a unit has {_AXIS}")
+            raise ValueError(f"no axis {axis!r}; a device has {_AXIS}")
 
 
-def build_bus(clock: Clock, units: Sequence[Branch]) -> tuple[Smc30Controller, list[BusUnit]]:
-    """Powered-up units on one line, by their addresses; two may have the same. What concerns the line is said alike by
-    all. Wires take their time here, so that any two replies that overlap garble each other unless the options say
-    otherwise. Raises `ValueError`."""
+def build_bus(clock: Clock, devices: Sequence[DeviceSpec]) -> tuple[Smc30Controller, list[BusDevice]]:
+    """Build powered-up devices on one line, by their addresses; two may have the same. All must give the same line
+    options. Cables take their time here, so that any two overlapping replies garble each other unless the options
+    exclude it. Raises `ValueError`."""
     line: dict[str, object] = {"collisions": "any"}
-    places: list[Place] = []
-    for number, branch in enumerate(units):
+    places: list[DeviceSetup] = []
+    for number, branch in enumerate(devices):
         own = read_options({name: value for name, value in branch.options.items() if name not in _OF_THE_LINE})
         if own.units:
-            raise ValueError("units: a unit of a shared line has none of its own")
+            raise ValueError("units: a device on a shared line cannot have units of its own")
         for name, value in _line_options(branch.options).items():
             if number and line.get(name) != value:
-                raise ValueError(f"{name}: the units of one line must agree, found {line.get(name)!r} and {value!r}")
+                raise ValueError(f"{name}: the devices of one line must agree, found {line.get(name)!r} and {value!r}")
             line[name] = value
         chosen = own.model_copy(update={"address": branch.address or 0})
         generator = random.Random(f"{branch.seed}.{number}")
-        places.append(Place(chosen, branch.oscillator, branch.timing, generator, _AXIS, []))
+        places.append(DeviceSetup(chosen, branch.oscillator, branch.timing, generator, _AXIS, []))
     bus = Smc30Controller(clock, read_options(line), places)
-    return bus, [BusUnit(bus, station) for station in bus.stations]
+    return bus, [BusDevice(bus, station) for station in bus.bus_stations]
 
 
 def _line_options(options: Mapping[str, object]) -> dict[str, object]:

@@ -1,57 +1,67 @@
-"""What operands are worth at run time (L2968-L3004)."""
+"""Evaluation of operands at run time (L2968-L3004)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from sim.smc30.drive import Drive
-from sim.smc30.inputs import Inputs
-from sim.smc30.memory import Registers
-from sim.smc30.operands import LAST_REGISTER, WORD, Analogue, Indirect, Number, Operand, Predefined, User
-from sim.smc30.parameters import Parameters
-from sim.smc30.refusal import Refused
-from sim.smc30.statements import Assign, If, Operator
+from sim.smc30.drive import StepGenerator
+from sim.smc30.inputs import InputLevels
+from sim.smc30.memory import UserRegisters
+from sim.smc30.operands import (
+    LAST_REGISTER,
+    WORD,
+    AnalogueLevel,
+    IndirectRegister,
+    NumberLiteral,
+    Operand,
+    PredefinedRegister,
+    UserRegister,
+)
+from sim.smc30.parameters import MotorParameters
+from sim.smc30.refusal import StatementRefused
+from sim.smc30.statements import AssignRegister, IfComparison, Operator
 
 _SIGNED = 32_767
 
 
 @dataclass(slots=True)
-class Values:
-    """Everything that an operand can name."""
+class OperandValues:
+    """All values that an operand can refer to."""
 
-    parameters: Parameters
-    inputs: Inputs
-    drive: Drive
+    parameters: MotorParameters
+    inputs: InputLevels
+    drive: StepGenerator
     wraps: bool
     """Arithmetic wraps modulo 65536 (decision 26)."""
-    registers: Registers = field(default_factory=Registers)
+    registers: UserRegisters = field(default_factory=UserRegisters)
     delay: int = 0
     """Register D: the last delay, 1/100 s."""
     loops_left: Callable[[], int] = lambda: 0
     """Register L: repetitions left of the innermost loop."""
 
-    def read(self, operand: Operand) -> int:
-        """The operand's value 0-65535; E4 for a register that does not exist or a negative counter (decision 27)."""
-        if isinstance(operand, Number):
+    def read_operand(self, operand: Operand) -> int:
+        """Return the operand's value 0-65535; E4 for a register that does not exist or a negative counter (decision
+        27)."""
+        if isinstance(operand, NumberLiteral):
             return operand.value
-        if isinstance(operand, User):
-            return self.registers.read(operand.number)
-        if isinstance(operand, Indirect):
-            return self.registers.read(self.pointed(operand))
-        if isinstance(operand, Analogue):
-            return self.inputs.analogue(operand.input)
-        return self._word(self._predefined(operand))
+        if isinstance(operand, UserRegister):
+            return self.registers.read_register(operand.number)
+        if isinstance(operand, IndirectRegister):
+            return self.registers.read_register(self.pointed_register(operand))
+        if isinstance(operand, AnalogueLevel):
+            return self.inputs.analogue_level(operand.input)
+        return self._to_word(self._read_predefined(operand))
 
-    def pointed(self, operand: Indirect) -> int:
-        """The number of the register that an indirect operand means."""
-        number = self.registers.read(operand.pointer)
+    def pointed_register(self, operand: IndirectRegister) -> int:
+        """Return the number of the register that an indirect operand refers to."""
+        number = self.registers.read_register(operand.pointer)
         if not 1 <= number <= LAST_REGISTER:
-            raise Refused("E4")
+            raise StatementRefused("E4")
         return number
 
-    def _predefined(self, operand: Predefined) -> int:
+    def _read_predefined(self, operand: PredefinedRegister) -> int:
         match operand.letter:
             case "R":
-                return self.parameters.ramp
+                return self.parameters.ramp_steps
             case "S":
                 return self.parameters.start
             case "T":
@@ -61,27 +71,27 @@ class Values:
             case "L":
                 return self.loops_left()
             case "n":
-                return self.drive.counter
+                return self.drive.position_counter
 
-    def _word(self, value: int) -> int:
+    def _to_word(self, value: int) -> int:
         if 0 <= value <= WORD:
             return value
         if self.wraps:
             return value % (WORD + 1)
-        raise Refused("E4")
+        raise StatementRefused("E4")
 
-    def assigned(self, statement: Assign) -> int:
-        """The right side of an assignment."""
-        left = self.read(statement.left)
+    def assigned_value(self, statement: AssignRegister) -> int:
+        """Return the right side of an assignment."""
+        left = self.read_operand(statement.left)
         if statement.operator is None or statement.right is None:
             return left
-        return self._word(_calculate(statement.operator, left, self.read(statement.right)))
+        return self._to_word(_apply_operator(statement.operator, left, self.read_operand(statement.right)))
 
-    def holds(self, statement: If) -> bool:
-        """Whether a comparison is true; its operands are at most 32767 (L3003)."""
-        left, right = self.read(statement.left), self.read(statement.right)
+    def is_true(self, statement: IfComparison) -> bool:
+        """Return whether a comparison is true; its operands are at most 32767 (L3003)."""
+        left, right = self.read_operand(statement.left), self.read_operand(statement.right)
         if max(left, right) > _SIGNED:
-            raise Refused("E4")
+            raise StatementRefused("E4")
         match statement.comparison:
             case "<":
                 return left < right
@@ -97,7 +107,7 @@ class Values:
                 return left != right
 
 
-def _calculate(operator: Operator, left: int, right: int) -> int:
+def _apply_operator(operator: Operator, left: int, right: int) -> int:
     match operator:
         case "+":
             return left + right
@@ -107,5 +117,5 @@ def _calculate(operator: Operator, left: int, right: int) -> int:
             return left * right
         case "/":
             if not right or max(left, right) > _SIGNED:
-                raise Refused("E4")
+                raise StatementRefused("E4")
             return left // right

@@ -9,19 +9,21 @@ _SEVEN_BITS = 0x7F
 _PARITY_BIT = 0x80
 
 
-def checksum(text: bytes) -> int:
+def compute_checksum(text: bytes) -> int:
     """Sum of the character codes modulo 128 (L1066-L1081)."""
     return sum(text) % 128
 
 
 def odd_parity(data: bytes) -> bytes:
-    """`data` with bit 7 set wherever the seven others are even in number."""
+    """Return `data` with bit 7 set wherever the other seven bits have even parity."""
     return bytes(byte if byte.bit_count() % 2 else byte | _PARITY_BIT for byte in data)
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
-    """One string for this unit, without address and checksum. intact: no parity or checksum error, not too long."""
+class ReceivedString:
+    """One string for this device, without address and checksum.
+
+    intact: no parity or checksum error, not too long."""
 
     text: str
     intact: bool = True
@@ -29,10 +31,10 @@ class Received:
 
 @dataclass(slots=True)
 class StringReader:
-    """Cuts what one unit sees on the line into the strings that are meant for it.
+    """Splits the bytes on the line into the strings addressed to one device.
 
-    A string ends with CR only; there is no time-out, half a string waits for its other half. Strings with another
-    address are passed over in silence (L879-L881).
+    A string ends with CR only; there is no timeout, a partial string waits for its other part. Strings with another
+    address are ignored silently (L879-L881).
     """
 
     address: int
@@ -41,20 +43,20 @@ class StringReader:
     parity: Literal["stripped", "wire"]
     _text: bytearray = field(default_factory=bytearray)
     _spoilt: bool = False
-    """A character of this string came with a parity error."""
+    """A character of this string had a parity error."""
     _stranger: bool = False
-    """Its first character did: nobody can be meant."""
+    """Its first character had a parity error: the string is addressed to no device."""
     _held: bytes | None = None
-    """A string whose checksum would be CR: the next CR may be it (decision 3)."""
+    """A string whose checksum would be CR: the next CR may be that checksum (decision 3)."""
 
-    def feed(self, data: bytes) -> Iterator[Received]:
-        """The strings that `data` completes."""
+    def read_strings(self, data: bytes) -> Iterator[ReceivedString]:
+        """Yield the strings that `data` completes."""
         if self.parity == "stripped" and data.isascii():
             *complete, rest = data.split(b"\r")
             for piece in complete:
-                self._keep(piece)
-                yield from self._complete()
-            self._keep(rest)
+                self._append_piece(piece)
+                yield from self._complete_strings()
+            self._append_piece(rest)
             return
         for byte in data:
             good = byte.bit_count() % 2 == 1 if self.parity == "wire" else byte < _PARITY_BIT
@@ -62,47 +64,47 @@ class StringReader:
                 self._spoilt = True
                 self._stranger = self._stranger or not self._text
             if byte & _SEVEN_BITS == _CR:
-                yield from self._complete()
+                yield from self._complete_strings()
             else:
-                self._keep(bytes((byte & _SEVEN_BITS,)))
+                self._append_piece(bytes((byte & _SEVEN_BITS,)))
 
-    def clear(self) -> None:
-        """Forget half a string."""
+    def discard_partial(self) -> None:
+        """Discard a partial string."""
         self._text.clear()
         self._spoilt = self._stranger = False
         self._held = None
 
-    def _keep(self, piece: bytes) -> None:
-        # One more than would be too long is enough to know; LF after CR is no part of a string (decision 5).
+    def _append_piece(self, piece: bytes) -> None:
+        # One character above the limit is enough to detect it; LF after CR is not part of a string (decision 5).
         if not self._text:
             piece = piece.lstrip(b"\n")
         self._text += piece[: self.limit + 1 - len(self._text)]
 
-    def _complete(self) -> Iterator[Received]:
+    def _complete_strings(self) -> Iterator[ReceivedString]:
         text, spoilt, stranger = bytes(self._text), self._spoilt, self._stranger
         held, self._held = self._held, None
         self._text.clear()
         self._spoilt = self._stranger = False
         if held is not None:
             if not text and not spoilt:
-                yield self._received(held)
+                yield self._decode_string(held)
                 return
-            yield Received("", intact=False)
+            yield ReceivedString("", intact=False)
         if self.address:
             if stranger or not text.startswith(b"%d" % self.address):
                 return
         elif not text and not spoilt and self.checksum:
             return
         if spoilt or len(text) > self.limit:
-            yield Received("", intact=False)
+            yield ReceivedString("", intact=False)
         elif not self.checksum:
-            yield self._received(text)
-        elif len(text) > bool(self.address) and text[-1] == checksum(text[:-1]):
-            yield self._received(text[:-1])
-        elif checksum(text) == _CR:
+            yield self._decode_string(text)
+        elif len(text) > bool(self.address) and text[-1] == compute_checksum(text[:-1]):
+            yield self._decode_string(text[:-1])
+        elif compute_checksum(text) == _CR:
             self._held = text
         else:
-            yield Received("", intact=False)
+            yield ReceivedString("", intact=False)
 
-    def _received(self, text: bytes) -> Received:
-        return Received(text[1 if self.address else 0 :].decode("ascii"))
+    def _decode_string(self, text: bytes) -> ReceivedString:
+        return ReceivedString(text[1 if self.address else 0 :].decode("ascii"))

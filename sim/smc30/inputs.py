@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from orchestrator.clock.base import Timer
 from sim.core.devicetime import DeviceTime
-from sim.smc30.statements import Contact, Scaled, StartCondition, Threshold
+from sim.smc30.statements import AnalogueThreshold, InputContact, ScaledInput, StartCondition
 
 USER_INPUTS = 3
 ANALOGUE_INPUTS = 6
@@ -13,10 +13,11 @@ _FULL_SCALE = 255
 _LOGIC_ONE = 125  # 2.5 V (L2731)
 
 
-class Inputs:
-    """Levels as the firmware sees them; `changed` is called whenever one changes.
+class InputLevels:
+    """Levels as the firmware sees them; `changed` is called on every change.
 
-    poll_ns: it looks at the user inputs every so often, `phase_ns` after the whole periods of device time; 0: always.
+    poll_ns: period in which the firmware polls the user inputs, `phase_ns` after whole periods of device time; 0:
+    continuously.
     """
 
     def __init__(
@@ -32,75 +33,75 @@ class Inputs:
         self._user = [False] * (USER_INPUTS + 1)
         self._analogue = [0] * (ANALOGUE_INPUTS + 1)
         self.generation = 0
-        """Counts the changes."""
+        """Number of changes."""
 
     def set_user(self, number: int, level: bool) -> None:
-        """The wire of user input `number` is at `level` now; seen when it stays so for the filter's time."""
+        """Set the wire of user input `number` to `level`; seen when it stays so for the filter's time."""
         if level == self._wire[number]:
             return
         self._wire[number] = level
         if (timer := self._pending.pop(number, None)) is not None:
             timer.cancel()
         if not self._filter_ns and not self._poll_ns:
-            self._see(number)
+            self._update_level(number)
         elif level != self._user[number]:
             due_ns = self._time.now_ns() + self._filter_ns
             if self._poll_ns:
                 due_ns += (self._phase_ns - due_ns) % self._poll_ns
-            self._pending[number] = self._time.call_at(due_ns, lambda: self._see(number))
+            self._pending[number] = self._time.call_at(due_ns, lambda: self._update_level(number))
 
     def set_volts(self, number: int, volts: float) -> None:
-        """The voltage at analogue input `number`; 20 mV a step, 0-5.10 V (L2211-L2223)."""
+        """Set the voltage at analogue input `number`; 20 mV a step, 0-5.10 V (L2211-L2223)."""
         level = min(max(int(volts * _STEPS_PER_VOLT + 1e-6), 0), _FULL_SCALE)
         if level != self._analogue[number]:
             self._analogue[number] = level
-            self._tell()
+            self._notify_change()
 
     def power_up(self) -> None:
-        """What the wires carry is seen at once."""
+        """Sample the wires immediately."""
         for timer in self._pending.values():
             timer.cancel()
         self._pending.clear()
         self._user = list(self._wire)
 
-    def user(self, number: int) -> bool:
+    def user_level(self, number: int) -> bool:
         return self._user[number]
 
-    def pattern(self) -> int:
+    def user_pattern(self) -> int:
         """Bit value 1 = input 1, 2 = input 2, 4 = input 3."""
         return sum(1 << (number - 1) for number in range(1, USER_INPUTS + 1) if self._user[number])
 
-    def analogue(self, number: int) -> int:
+    def analogue_level(self, number: int) -> int:
         """Level 0-255."""
         return self._analogue[number]
 
-    def closed(self, contact: Contact) -> bool:
-        """Whether a digital input is logic 1."""
+    def is_closed(self, contact: InputContact) -> bool:
+        """Return whether a digital input is logic 1."""
         if contact.analogue:
             return self._analogue[contact.number] >= _LOGIC_ONE
         return self._user[contact.number]
 
-    def beyond(self, threshold: Threshold) -> bool:
+    def is_beyond(self, threshold: AnalogueThreshold) -> bool:
         above = self._analogue[threshold.input] >= threshold.reference
         return above == threshold.above
 
-    def fulfilled(self, condition: StartCondition) -> bool:
-        """Whether a level or a threshold is present."""
-        if isinstance(condition, Threshold):
-            return self.beyond(condition)
+    def is_fulfilled(self, condition: StartCondition) -> bool:
+        """Return whether a level or a threshold is present."""
+        if isinstance(condition, AnalogueThreshold):
+            return self.is_beyond(condition)
         return self._user[condition.input] == condition.level
 
-    def scaled(self, scaled: Scaled) -> int:
+    def scale_level(self, scaled: ScaledInput) -> int:
         """Linear between the values at 0 V and at 5.10 V, truncated (L1984-L1986)."""
         level = self._analogue[scaled.input]
         return (scaled.at_zero * (_FULL_SCALE - level) + scaled.at_full * level) // _FULL_SCALE
 
-    def _see(self, number: int) -> None:
+    def _update_level(self, number: int) -> None:
         self._pending.pop(number, None)
         if self._user[number] != self._wire[number]:
             self._user[number] = self._wire[number]
-            self._tell()
+            self._notify_change()
 
-    def _tell(self) -> None:
+    def _notify_change(self) -> None:
         self.generation += 1
         self._changed()

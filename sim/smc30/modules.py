@@ -1,22 +1,22 @@
-"""External modules on the RS485 interface, as far as the unit sees them (L1094-L1180, L3116-L3370)."""
+"""External modules on the RS485 interface, as far as the device communicates with them (L1094-L1180, L3116-L3370)."""
 
-from sim.smc30.options import UnitOptions
-from sim.smc30.refusal import Refused
-from sim.smc30.statements import Flag, Input, Print
+from sim.smc30.options import IndexerOptions
+from sim.smc30.refusal import StatementRefused
+from sim.smc30.statements import PrintText, ReadInput, SetFlag
 
 
-class Modules:
-    """Registers, flags and shown texts of the modules that exist. What goes to an absent one is lost."""
+class ExternalModules:
+    """Registers, flags and displayed texts of the modules present. Data for an absent one is lost."""
 
-    def __init__(self, options: UnitOptions) -> None:
+    def __init__(self, options: IndexerOptions) -> None:
         self._registers = {address: dict(content) for address, content in options.modules.items()}
         self.flags: set[tuple[int, int]] = set()
         """Flags set, as module address and flag number."""
         self.shown: dict[tuple[int, int], str] = {}
-        """What was printed last, by module address and register or cursor position."""
+        """Last printed text, by module address and register or cursor position."""
 
-    def flag(self, statement: Flag) -> None:
-        """AO, CO."""
+    def set_flag(self, statement: SetFlag) -> None:
+        """Execute AO and CO."""
         if statement.module in self._registers:
             key = (statement.module, statement.flag)
             if statement.on:
@@ -24,8 +24,8 @@ class Modules:
             else:
                 self.flags.discard(key)
 
-    def show(self, statement: Print, text: str) -> None:
-        """PRINT to a module; a number goes into the register too, if the module has it."""
+    def show_text(self, statement: PrintText, text: str) -> None:
+        """Execute PRINT to a module; a number is also stored in the register, if the module has it."""
         registers = self._registers.get(statement.module)
         if registers is None:
             return
@@ -33,11 +33,11 @@ class Modules:
         if statement.place in registers and not isinstance(statement.what, str):
             registers[statement.place] = int(text)
 
-    def read(self, statement: Input) -> int:
-        """INPUT; an absent module or a failed range check ends the program (L3284-L3286)."""
+    def read_input(self, statement: ReadInput) -> int:
+        """Execute INPUT; an absent module or a failed range check ends the program (L3284-L3286)."""
         value = self._registers.get(statement.module, {}).get(statement.register)
         if value is None:
-            raise Refused("E4")
+            raise StatementRefused("E4")
         if statement.allowed is not None and not statement.allowed[0] <= value <= statement.allowed[1]:
-            raise Refused("E4")
+            raise StatementRefused("E4")
         return value

@@ -1,31 +1,31 @@
-"""Motor commands: how far, when to start, and what stops them (L1957-L2246)."""
+"""Motor commands: distance, start condition and stop condition (L1957-L2246)."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.smc30.drive import Drive, End
-from sim.smc30.expressions import Values
-from sim.smc30.inputs import Inputs
-from sim.smc30.options import UnitOptions
-from sim.smc30.parameters import Parameters
-from sim.smc30.profile import Profile, constant
+from sim.smc30.drive import RunEnd, StepGenerator
+from sim.smc30.expressions import OperandValues
+from sim.smc30.inputs import InputLevels
+from sim.smc30.options import IndexerOptions
+from sim.smc30.parameters import MotorParameters
+from sim.smc30.profile import StepProfile, constant_profile
 from sim.smc30.statements import (
-    Arm,
-    Falling,
-    Home,
+    ArmMove,
+    FallingInput,
     Motor,
-    Move,
     MoveAnalogue,
+    MoveSteps,
     RunOn,
+    SearchHome,
     StartCondition,
     StopCondition,
 )
-from sim.smc30.tempo import Tempo
+from sim.smc30.tempo import PausableTimer
 
 Done = Callable[[], None]
 Activity = Callable[[Done], None]
-"""Begins something that takes time; its argument is called once, when that is over, perhaps at once."""
+"""Begins an activity that takes time; its argument is called once at the end, perhaps immediately."""
 
 _FRACTION = 10_000
 _HOME_INPUT = 3
@@ -33,33 +33,33 @@ _NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Order:
-    """A motor command as interpreted: parameters of this moment, steps still open if they go to a position."""
+class _MotorOrder:
+    """A motor command as interpreted: present parameters, and the steps still open if it moves to a position."""
 
     sign: int
     steps: float
     target: int | None
-    again: Callable[[float], Profile]
+    build_profile: Callable[[float], StepProfile]
     start_rate: float
     slope: float
 
 
 @dataclass(slots=True)
-class Conversion:
-    """con: steps per unit in ten-thousandths, and the fraction of a step that is owed (L3048-L3114)."""
+class UnitConversion:
+    """con: steps per unit in ten-thousandths, and the fraction of a step carried over (L3048-L3114)."""
 
     factor: int | None = None
     remainder: int = 0
 
-    def relative(self, units: int) -> int:
-        """Signed steps of a relative move; the fraction is kept for the next one."""
-        return units if self.factor is None else self._whole(units * self.factor + self.remainder)
+    def relative_steps(self, units: int) -> int:
+        """Return the signed steps of a relative move; the fraction is carried over to the next one."""
+        return units if self.factor is None else self._take_whole_steps(units * self.factor + self.remainder)
 
-    def absolute(self, units: int) -> int:
-        """Counter value of an absolute move; the fraction that it falls short is owed."""
-        return units if self.factor is None else self._whole(units * self.factor)
+    def absolute_counter(self, units: int) -> int:
+        """Return the counter value of an absolute move; the missing fraction is carried over."""
+        return units if self.factor is None else self._take_whole_steps(units * self.factor)
 
-    def _whole(self, total: int) -> int:
+    def _take_whole_steps(self, total: int) -> int:
         steps = abs(total) // _FRACTION * (-1 if total < 0 else 1)
         self.remainder = total - steps * _FRACTION
         return steps
@@ -70,21 +70,21 @@ class MotorCommands:
 
     def __init__(
         self,
-        options: UnitOptions,
-        tempo: Tempo,
-        drive: Drive,
-        values: Values,
+        options: IndexerOptions,
+        tempo: PausableTimer,
+        drive: StepGenerator,
+        values: OperandValues,
         overflowed: Callable[[], None],
     ) -> None:
         self._tempo = tempo
         self._drive = drive
         self._values = values
-        self._inputs: Inputs = values.inputs
+        self._inputs: InputLevels = values.inputs
         self._overflowed = overflowed
         self._latency_ns = round(options.start_latency_ms * _NS_PER_MS)
         self._watches_eot = options.home_input == "eot"
-        self.armed: Arm | None = None
-        self.conversion = Conversion()
+        self.armed: ArmMove | None = None
+        self.conversion = UnitConversion()
         self._awaited: StartCondition | None = None
         self._stop: StopCondition | None = None
         self._stop_was_high = False
@@ -92,122 +92,124 @@ class MotorCommands:
         self._go: Callable[[], None] | None = None
 
     @property
-    def _parameters(self) -> Parameters:
+    def _motor_parameters(self) -> MotorParameters:
         return self._values.parameters
 
-    def prepare(self, statement: Motor) -> Activity:
-        """Interpret a motor command; `Refused` if its registers cannot be."""
-        if isinstance(statement, Home):
-            return lambda done: self._home(statement.sign, done)
-        order = self._order(statement)
+    def prepare_motion(self, statement: Motor) -> Activity:
+        """Interpret a motor command; `StatementRefused` if its registers cannot be interpreted."""
+        if isinstance(statement, SearchHome):
+            return lambda done: self._start_homing(statement.sign, done)
+        order = self._build_order(statement)
         armed, self.armed = self.armed, None
-        return lambda done: self._begin(order, armed, done)
+        return lambda done: self._begin_order(order, armed, done)
 
-    def _order(self, statement: Move | MoveAnalogue | RunOn) -> _Order:
-        parameters = self._parameters
-        start, top, ramp, slope = parameters.start, parameters.top, parameters.ramp, parameters.slope
+    def _build_order(self, statement: MoveSteps | MoveAnalogue | RunOn) -> _MotorOrder:
+        parameters = self._motor_parameters
+        start, top, ramp, slope = parameters.start, parameters.top, parameters.ramp_steps, parameters.acceleration
 
-        def again(steps: float) -> Profile:
-            frozen = Parameters(start, top, "R", ramp)
-            return frozen.profile(steps)
+        def build_profile(steps: float) -> StepProfile:
+            frozen = MotorParameters(start, top, "R", ramp)
+            return frozen.move_profile(steps)
 
         if isinstance(statement, RunOn):
-            return _Order(statement.sign, math.inf, None, again, start, slope)
-        units = statement.sign * self._units(statement)
+            return _MotorOrder(statement.sign, math.inf, None, build_profile, start, slope)
+        units = statement.sign * self._command_units(statement)
         if statement.absolute:
-            return _Order(0, 0, self.conversion.absolute(units), again, start, slope)
-        steps = self.conversion.relative(units)
-        return _Order(-1 if steps < 0 else 1, abs(steps), None, again, start, slope)
+            return _MotorOrder(0, 0, self.conversion.absolute_counter(units), build_profile, start, slope)
+        steps = self.conversion.relative_steps(units)
+        return _MotorOrder(-1 if steps < 0 else 1, abs(steps), None, build_profile, start, slope)
 
-    def _units(self, statement: Move | MoveAnalogue) -> int:
+    def _command_units(self, statement: MoveSteps | MoveAnalogue) -> int:
         if isinstance(statement, MoveAnalogue):
-            return self._inputs.scaled(statement.amount)
-        return statement.amount if isinstance(statement.amount, int) else self._values.read(statement.amount)
+            return self._inputs.scale_level(statement.amount)
+        return statement.amount if isinstance(statement.amount, int) else self._values.read_operand(statement.amount)
 
-    def _begin(self, order: _Order, armed: Arm | None, done: Done) -> None:
+    def _begin_order(self, order: _MotorOrder, armed: ArmMove | None, done: Done) -> None:
         stop = None if armed is None else armed.stop
 
-        def go() -> None:
-            self._launch(order, stop, done)
+        def begin_motion() -> None:
+            self._start_run(order, stop, done)
 
         if armed is None or armed.start is None:
-            go()
+            begin_motion()
             return
-        self._go, self._awaited = go, armed.start
+        self._go, self._awaited = begin_motion, armed.start
         self._check_start()
 
     def _check_start(self) -> None:
-        if self._awaited is None or self._drive.held or not self._inputs.fulfilled(self._awaited):
+        if self._awaited is None or self._drive.held or not self._inputs.is_fulfilled(self._awaited):
             return
         self._awaited = None
         if self._latency_ns:
-            self._tempo.after(self._latency_ns, self._started)
+            self._tempo.call_after(self._latency_ns, self._handle_start)
         else:
-            self._started()
+            self._handle_start()
 
-    def _started(self) -> None:
+    def _handle_start(self) -> None:
         go, self._go = self._go, None
         if go is not None:
             go()
 
-    def _launch(self, order: _Order, stop: StopCondition | None, done: Done) -> None:
+    def _start_run(self, order: _MotorOrder, stop: StopCondition | None, done: Done) -> None:
         sign, steps = order.sign, order.steps
         if order.target is not None:
-            way = order.target - self._drive.counter
+            way = order.target - self._drive.position_counter
             sign, steps = (-1 if way < 0 else 1), abs(way)
         self._stop = stop
-        self._stop_was_high = isinstance(stop, Falling) and self._inputs.user(stop.input)
-        self._drive.start(sign, steps, order.again, order.start_rate, order.slope, lambda end: self._ended(end, done))
+        self._stop_was_high = isinstance(stop, FallingInput) and self._inputs.user_level(stop.input)
+        self._drive.start_run(
+            sign, steps, order.build_profile, order.start_rate, order.slope, lambda end: self._handle_run_end(end, done)
+        )
         self._check_stop()
 
-    def _ended(self, end: End, done: Done) -> None:
+    def _handle_run_end(self, end: RunEnd, done: Done) -> None:
         self._stop = None
-        if end is End.OVERFLOW:
+        if end is RunEnd.OVERFLOW:
             self._overflowed()
         else:
             done()
 
-    def _home(self, sign: int, done: Done) -> None:
-        """At the start rate until the home input is active; then the counter is zero (L2076-L2086)."""
-        rate = self._parameters.start
+    def _start_homing(self, sign: int, done: Done) -> None:
+        """Run at the start rate until the home input is active; then set the counter to zero (L2076-L2086)."""
+        rate = self._motor_parameters.start
 
-        def ended(end: End) -> None:
+        def handle_home_end(end: RunEnd) -> None:
             self._homing = False
-            if end is End.DONE or (end is End.SWITCH and self._watches_eot):
+            if end is RunEnd.DONE or (end is RunEnd.SWITCH and self._watches_eot):
                 self._drive.set_counter(0)
                 self.conversion.remainder = 0
-            self._ended(end, done)
+            self._handle_run_end(end, done)
 
         self._homing = True
-        self._drive.start(sign, math.inf, lambda steps: constant(steps, rate), rate, 0.0, ended)
+        self._drive.start_run(sign, math.inf, lambda steps: constant_profile(steps, rate), rate, 0.0, handle_home_end)
         self._check_home()
 
     def _check_home(self) -> None:
-        if self._homing and not self._watches_eot and not self._drive.held and not self._inputs.user(_HOME_INPUT):
-            self._drive.halt(End.DONE)
+        if self._homing and not self._watches_eot and not self._drive.held and not self._inputs.user_level(_HOME_INPUT):
+            self._drive.halt_run(RunEnd.DONE)
 
     def _check_stop(self) -> None:
         stop = self._stop
         if stop is None or self._drive.held:
             return
-        if isinstance(stop, Falling):
-            high = self._inputs.user(stop.input)
+        if isinstance(stop, FallingInput):
+            high = self._inputs.user_level(stop.input)
             fulfilled = self._stop_was_high and not high
             self._stop_was_high = high
         else:
-            fulfilled = self._inputs.fulfilled(stop)
+            fulfilled = self._inputs.is_fulfilled(stop)
         if fulfilled:
             self._stop = None
             self._drive.ramp_down()
 
     def inputs_changed(self) -> None:
-        """Look at the inputs again: start, stop and home conditions."""
+        """Evaluate the start, stop and home conditions again."""
         self._check_home()
         self._check_stop()
         self._check_start()
 
-    def abort(self) -> None:
-        """Forget what waits for a start, and the arming (K, Z)."""
+    def abort_motion(self) -> None:
+        """Cancel the pending start and the arming (K, Z)."""
         self.armed = None
         self._awaited = None
         self._go = None

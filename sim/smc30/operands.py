@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.smc30.refusal import Refused
+from sim.smc30.refusal import StatementRefused
 
 WORD = 65_535
 LAST_REGISTER = 510
@@ -12,42 +12,42 @@ Letter = Literal["R", "S", "T", "D", "L", "n"]
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class NumberLiteral:
     """A literal 0-65535 (L2987)."""
 
     value: int
 
 
 @dataclass(frozen=True, slots=True)
-class User:
+class UserRegister:
     """User register R1-R510."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
-class Indirect:
+class IndirectRegister:
     """`R(Rn)`: the user register that Rn points to (L2936-L2965)."""
 
     pointer: int
 
 
 @dataclass(frozen=True, slots=True)
-class Predefined:
+class PredefinedRegister:
     """Ramp, start rate, top rate, delay, loop counter or position counter (L2851-L2876)."""
 
     letter: Letter
 
 
 @dataclass(frozen=True, slots=True)
-class Analogue:
+class AnalogueLevel:
     """Level 0-255 of an analogue input (L2878)."""
 
     input: int
 
 
-Operand = Number | User | Indirect | Predefined | Analogue
-Target = User | Indirect | Predefined
+Operand = NumberLiteral | UserRegister | IndirectRegister | PredefinedRegister | AnalogueLevel
+Target = UserRegister | IndirectRegister | PredefinedRegister
 
 _INDIRECT = re.compile(r"R\(R(\d+)\)")
 _USER = re.compile(r"R(\d+)")
@@ -55,38 +55,38 @@ _ANALOGUE = re.compile(r"A(\d+)")
 _LETTERS: dict[str, Letter] = {"R": "R", "S": "S", "T": "T", "D": "D", "L": "L", "n": "n"}
 
 
-def bounded(digits: str, low: int, high: int, code: Literal["E4", "E5"] = "E4") -> int:
-    """A number in range; too many digits are E2, out of range is `code` (decision 32)."""
+def parse_bounded(digits: str, low: int, high: int, code: Literal["E4", "E5"] = "E4") -> int:
+    """Parse a number in range; too many digits are E2, out of range is `code` (decision 32)."""
     if len(digits) > len(str(high)):
-        raise Refused("E2")
+        raise StatementRefused("E2")
     value = int(digits)
     if not low <= value <= high:
-        raise Refused(code)
+        raise StatementRefused(code)
     return value
 
 
 def read_operand(text: str) -> Operand:
-    """What `text` stands for; `Refused` if nothing."""
+    """Parse an operand; `StatementRefused` if `text` is none."""
     if text.isascii() and text.isdigit():
-        return Number(bounded(text, 0, WORD))
+        return NumberLiteral(parse_bounded(text, 0, WORD))
     if match := _ANALOGUE.fullmatch(text):
-        return Analogue(bounded(match[1], 1, 6))
+        return AnalogueLevel(parse_bounded(match[1], 1, 6))
     return _read_register(text)
 
 
 def read_target(text: str) -> Target:
-    """What can be assigned to: all registers but n and the analogue inputs (L2996-L2998)."""
+    """Parse an assignment target: all registers but n and the analogue inputs (L2996-L2998)."""
     target = _read_register(text)
-    if target == Predefined("n"):
-        raise Refused("E4")
+    if target == PredefinedRegister("n"):
+        raise StatementRefused("E4")
     return target
 
 
 def _read_register(text: str) -> Target:
     if text in _LETTERS:
-        return Predefined(_LETTERS[text])
+        return PredefinedRegister(_LETTERS[text])
     if match := _INDIRECT.fullmatch(text):
-        return Indirect(bounded(match[1], 1, LAST_REGISTER))
+        return IndirectRegister(parse_bounded(match[1], 1, LAST_REGISTER))
     if match := _USER.fullmatch(text):
-        return User(bounded(match[1], 1, LAST_REGISTER))
-    raise Refused("E4")
+        return UserRegister(parse_bounded(match[1], 1, LAST_REGISTER))
+    raise StatementRefused("E4")

@@ -5,27 +5,27 @@ from collections.abc import Callable
 USER_OUTPUTS = 3
 
 
-class Outputs:
-    """Levels of the outputs; listeners hear of every change."""
+class UserOutputs:
+    """Levels of the outputs; listeners are called on every change."""
 
     def __init__(self) -> None:
         self._levels = [False] * (USER_OUTPUTS + 1)
         self.listeners: list[Callable[[int, bool], None]] = []
 
-    def level(self, number: int) -> bool:
+    def output_level(self, number: int) -> bool:
         return self._levels[number]
 
-    def set(self, number: int, on: bool) -> None:
+    def set_output(self, number: int, on: bool) -> None:
         if self._levels[number] == on:
             return
         self._levels[number] = on
         for listener in self.listeners:
             listener(number, on)
 
-    def clear(self) -> None:
+    def clear_outputs(self) -> None:
         for number in range(1, USER_OUTPUTS + 1):
-            self.set(number, False)
+            self.set_output(number, False)
 
-    def pattern(self) -> int:
+    def output_pattern(self) -> int:
         """Bit value 1 = output 1, 2 = output 2, 4 = output 3."""
         return sum(1 << (number - 1) for number in range(1, USER_OUTPUTS + 1) if self._levels[number])

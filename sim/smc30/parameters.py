@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from sim.smc30.profile import Profile, trapezoid
-from sim.smc30.refusal import Refused
+from sim.smc30.profile import StepProfile, trapezoid_profile
+from sim.smc30.refusal import StatementRefused
 
 Rate = Literal["R", "RT", "RS", "S", "T"]
 
@@ -25,8 +25,8 @@ _ANALOGUE_TOP = 255
 
 
 @dataclass(slots=True)
-class Parameters:
-    """What the next motor command uses; the ramp is kept in the form it was given in (decision 12)."""
+class MotorParameters:
+    """Parameters of the next motor command; the ramp is stored in the form in which it was set (decision 12)."""
 
     start: int = 100
     top: int = 1000
@@ -34,11 +34,11 @@ class Parameters:
     ramp_value: int = 100
     currents_ma: dict[str, int] = field(default_factory=lambda: {"CS": 1000, "CR": 1000, "CT": 1000})
 
-    def set(self, rate: Rate, value: int) -> None:
-        """Set one; E5 outside its range (L1558)."""
+    def set_rate(self, rate: Rate, value: int) -> None:
+        """Set one parameter; E5 outside its range (L1558)."""
         low, high = RANGES[rate]
         if not low <= value <= high:
-            raise Refused("E5")
+            raise StatementRefused("E5")
         if rate == "S":
             self.start = value
         elif rate == "T":
@@ -47,14 +47,14 @@ class Parameters:
             self.ramp_form, self.ramp_value = rate, value
 
     def set_from_analogue(self, rate: Literal["R", "S", "T"], level: int, scale: int) -> None:
-        """r, s, t: proportional to the analogue level 0-255, at least 16 (L2289-L2347)."""
+        """Execute r, s, t: proportional to the analogue level 0-255, at least 16 (L2289-L2347)."""
         high = RANGES[rate][1]
         full = min(scale * _FULL_SCALE[rate], high)
-        self.set(rate, max(_FLOOR, level * full // _ANALOGUE_TOP))
+        self.set_rate(rate, max(_FLOOR, level * full // _ANALOGUE_TOP))
 
     @property
-    def ramp(self) -> int:
-        """The ramp in steps, whatever form set it (L2355, decision 12)."""
+    def ramp_steps(self) -> int:
+        """Ramp in steps, independent of the form that set it (L2355, decision 12)."""
         if self.ramp_form == "R":
             return self.ramp_value
         if self.ramp_form == "RT":
@@ -65,10 +65,10 @@ class Parameters:
         return min(max(math.floor(steps + 0.5), low), high)
 
     @property
-    def slope(self) -> float:
+    def acceleration(self) -> float:
         """Acceleration, steps/s²; zero when T is not above S."""
-        return max(0.0, (self.top**2 - self.start**2) / (2 * self.ramp))
+        return max(0.0, (self.top**2 - self.start**2) / (2 * self.ramp_steps))
 
-    def profile(self, steps: float) -> Profile:
-        """A move of `steps` with these parameters."""
-        return trapezoid(steps, self.start, self.top, self.ramp)
+    def move_profile(self, steps: float) -> StepProfile:
+        """Build the profile of a move of `steps` with these parameters."""
+        return trapezoid_profile(steps, self.start, self.top, self.ramp_steps)

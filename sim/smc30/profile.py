@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class _Piece:
-    """Constant acceleration from `begin_s` on, where `steps` are done at `rate`."""
+class _ProfilePiece:
+    """Constant acceleration from `begin_s` on, with `steps` completed at `rate`."""
 
     begin_s: float
     steps: float
@@ -15,18 +15,19 @@ class _Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
-    """Steps done (unsigned) as a function of time since its start.
+class StepProfile:
+    """Steps completed (unsigned) as a function of time since its start.
 
-    The k-th step is made when k steps are done (decision 14). distance: steps at its end, infinite if it has none.
+    The k-th step occurs when k steps are complete (decision 14).
+    distance: steps at its end, infinite if it has none.
     """
 
-    pieces: tuple[_Piece, ...]
+    pieces: tuple[_ProfilePiece, ...]
     end_s: float
     distance: float
 
-    def at(self, elapsed_s: float) -> tuple[float, float]:
-        """Steps done and steps/s, `elapsed_s` after the start."""
+    def state_at(self, elapsed_s: float) -> tuple[float, float]:
+        """Return completed steps and steps/s, `elapsed_s` after the start."""
         if elapsed_s >= self.end_s:
             return self.distance, 0.0
         piece = self.pieces[0]
@@ -39,7 +40,7 @@ class Profile:
         return piece.steps + (piece.rate + rate) / 2 * since_s, rate
 
     def reached_s(self, steps: float) -> float:
-        """When `steps` are done, at most `distance`."""
+        """Return the time at which `steps` are complete, at most `distance`."""
         if steps >= self.distance:
             return self.end_s
         piece = self.pieces[0]
@@ -53,18 +54,18 @@ class Profile:
         return piece.begin_s + 2 * left / (piece.rate + then)
 
 
-def constant(steps: float, rate: float) -> Profile:
+def constant_profile(steps: float, rate: float) -> StepProfile:
     """`steps` at one rate: T below S (L2286-L2288), and homing at S (L2083-L2085)."""
-    return Profile((_Piece(0.0, 0.0, rate, 0.0),), steps / rate, steps)
+    return StepProfile((_ProfilePiece(0.0, 0.0, rate, 0.0),), steps / rate, steps)
 
 
-def trapezoid(steps: float, start: float, top: float, ramp: float) -> Profile:
+def trapezoid_profile(steps: float, start: float, top: float, ramp: float) -> StepProfile:
     """`steps` from rate `start` over `ramp` steps to `top` and back; `steps` may be infinite.
 
     A move shorter than two ramps keeps the slope and is a triangle (decision 13).
     """
     if top <= start:
-        return constant(steps, top)
+        return constant_profile(steps, top)
     slope = (top**2 - start**2) / (2 * ramp)
     if steps < 2 * ramp:
         peak, ramp_steps = math.sqrt(start**2 + slope * steps), steps / 2
@@ -73,22 +74,23 @@ def trapezoid(steps: float, start: float, top: float, ramp: float) -> Profile:
     ramp_s = 2 * ramp_steps / (start + peak)
     cruise_s = (steps - 2 * ramp_steps) / peak
     pieces = (
-        _Piece(0.0, 0.0, start, slope),
-        _Piece(ramp_s, ramp_steps, peak, 0.0),
-        _Piece(ramp_s + cruise_s, steps - ramp_steps, peak, -slope),
+        _ProfilePiece(0.0, 0.0, start, slope),
+        _ProfilePiece(ramp_s, ramp_steps, peak, 0.0),
+        _ProfilePiece(ramp_s + cruise_s, steps - ramp_steps, peak, -slope),
     )
     if math.isinf(steps):
-        return Profile(pieces[:2], math.inf, math.inf)
-    return Profile(pieces, 2 * ramp_s + cruise_s, steps)
+        return StepProfile(pieces[:2], math.inf, math.inf)
+    return StepProfile(pieces, 2 * ramp_s + cruise_s, steps)
 
 
-def stop_ramp(steps: float, rate: float, start: float, slope: float, most: float) -> Profile | None:
-    """From `steps` done at `rate` down to `start`, ending on a whole step, at most `most`; None: no step is left."""
+def stop_profile(steps: float, rate: float, start: float, slope: float, max_steps: float) -> StepProfile | None:
+    """Build the ramp from `steps` completed at `rate` down to `start`, ending on a whole step, at most `most`; None: no
+    step is left."""
     if rate <= start or slope <= 0:
         return None
-    distance = min(float(math.ceil(steps + (rate**2 - start**2) / (2 * slope) - 1e-6)), most)
+    distance = min(float(math.ceil(steps + (rate**2 - start**2) / (2 * slope) - 1e-6)), max_steps)
     left = distance - steps
     if left <= 1e-9:
         return None
     gentle = (rate**2 - start**2) / (2 * left)
-    return Profile((_Piece(0.0, steps, rate, -gentle),), 2 * left / (rate + start), distance)
+    return StepProfile((_ProfilePiece(0.0, steps, rate, -gentle),), 2 * left / (rate + start), distance)

@@ -1,11 +1,11 @@
-"""Why a command is not complied with (L1534-L1562)."""
+"""Reasons for which a command is refused (L1534-L1562)."""
 
 from typing import Literal
 
 Code = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
-class Refused(Exception):
+class StatementRefused(Exception):
     """A command, or a program line at run time, that fails with `code`."""
 
     def __init__(self, code: Code) -> None:

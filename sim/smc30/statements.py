@@ -1,4 +1,4 @@
-"""The commands that a program can hold, and the bytes each takes in working memory (L3642-L3703)."""
+"""The commands that a program can contain, and the bytes each takes in working memory (L3642-L3703)."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -11,7 +11,7 @@ Operator = Literal["+", "-", "*", "/"]
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class InputContact:
     """A digital input: user input 1-3, or analogue input 1-6 with threshold 2.5 V (L2731)."""
 
     number: int
@@ -19,7 +19,7 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True)
-class Threshold:
+class AnalogueThreshold:
     """Analogue input at or above (`>`), or below, a reference 0-255 (L2225-L2246, L2751-L2753)."""
 
     input: int
@@ -28,7 +28,7 @@ class Threshold:
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class InputLevel:
     """User input at a level."""
 
     input: int
@@ -36,18 +36,18 @@ class Level:
 
 
 @dataclass(frozen=True, slots=True)
-class Falling:
+class FallingInput:
     """User input going from logic 1 to logic 0 (L2114)."""
 
     input: int
 
 
-StartCondition = Level | Threshold
-StopCondition = Level | Falling | Threshold
+StartCondition = InputLevel | AnalogueThreshold
+StopCondition = InputLevel | FallingInput | AnalogueThreshold
 
 
 @dataclass(frozen=True, slots=True)
-class Scaled:
+class ScaledInput:
     """n1 at 0 V, n2 at 5.10 V of an analogue input, linear between."""
 
     input: int
@@ -56,12 +56,12 @@ class Scaled:
 
 
 @dataclass(frozen=True, slots=True)
-class Blank:
+class BlankLine:
     size: ClassVar[int] = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Force:
+class ForceCounter:
     """f: set the position counter, steps."""
 
     size: ClassVar[int] = 4
@@ -69,7 +69,7 @@ class Force:
 
 
 @dataclass(frozen=True, slots=True)
-class Initialize:
+class InitializeState:
     """I1-I3: counter, outputs; I5-I7: registers."""
 
     size: ClassVar[int] = 2
@@ -77,7 +77,7 @@ class Initialize:
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class MoveSteps:
     """+ or - or G by a number or a register: units of the conversion factor."""
 
     size: ClassVar[int] = 4
@@ -91,7 +91,7 @@ class MoveAnalogue:
     size: ClassVar[int] = 6
     sign: int
     absolute: bool
-    amount: Scaled
+    amount: ScaledInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +103,13 @@ class RunOn:
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class SearchHome:
     size: ClassVar[int] = 1
     sign: int
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ArmMove:
     """N, NA: start and stop conditions of the next motor command; None: unconditional, or no stop."""
 
     size: int
@@ -142,7 +142,7 @@ class RateFromAnalogue:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class SetOutput:
     """A, C."""
 
     size: ClassVar[int] = 2
@@ -151,11 +151,11 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
-class Until:
-    """U: go back until the input is logic 0."""
+class RepeatUntil:
+    """U: jump back until the input is logic 0."""
 
     size: ClassVar[int] = 2
-    contact: Contact
+    contact: InputContact
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +163,11 @@ class WaitFor:
     """W: wait until the input is logic 1."""
 
     size: ClassVar[int] = 2
-    contact: Contact
+    contact: InputContact
 
 
 @dataclass(frozen=True, slots=True)
-class Delay:
+class DelayTicks:
     """D: 1/100 s."""
 
     size: ClassVar[int] = 3
@@ -177,11 +177,11 @@ class Delay:
 @dataclass(frozen=True, slots=True)
 class DelayAnalogue:
     size: ClassVar[int] = 6
-    ticks: Scaled
+    ticks: ScaledInput
 
 
 @dataclass(frozen=True, slots=True)
-class Jump:
+class JumpToLine:
     size: ClassVar[int] = 2
     line: int
 
@@ -198,7 +198,7 @@ class JumpPattern:
 @dataclass(frozen=True, slots=True)
 class JumpLevel:
     size: ClassVar[int] = 4
-    contact: Contact
+    contact: InputContact
     level: bool
     line: int
 
@@ -206,12 +206,12 @@ class JumpLevel:
 @dataclass(frozen=True, slots=True)
 class JumpThreshold:
     size: ClassVar[int] = 4
-    threshold: Threshold
+    threshold: AnalogueThreshold
     line: int
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class CallSubroutine:
     """JS."""
 
     size: ClassVar[int] = 2
@@ -219,12 +219,12 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True)
-class Return:
+class ReturnFromCall:
     size: ClassVar[int] = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
+class LoopSegment:
     """L0 begins a segment, Ln ends it and repeats it n times."""
 
     size: ClassVar[int] = 2
@@ -232,7 +232,7 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
-class Assign:
+class AssignRegister:
     target: Target
     left: Operand
     operator: Operator | None = None
@@ -244,7 +244,7 @@ class Assign:
 
 
 @dataclass(frozen=True, slots=True)
-class Convert:
+class SetConversion:
     """con: steps per unit, in ten-thousandths."""
 
     size: ClassVar[int] = 5
@@ -252,7 +252,7 @@ class Convert:
 
 
 @dataclass(frozen=True, slots=True)
-class Print:
+class PrintText:
     size: ClassVar[int] = 10
     module: int
     place: int
@@ -260,7 +260,7 @@ class Print:
 
 
 @dataclass(frozen=True, slots=True)
-class If:
+class IfComparison:
     size: ClassVar[int] = 17
     left: Operand
     comparison: Comparison
@@ -268,7 +268,7 @@ class If:
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
+class ReadInput:
     """INPUT: read a module's register; `allowed` is the range check."""
 
     size: ClassVar[int] = 12
@@ -279,7 +279,7 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
-class Flag:
+class SetFlag:
     """AO, CO."""
 
     size: ClassVar[int] = 3
@@ -288,18 +288,46 @@ class Flag:
     on: bool
 
 
-Flow = Until | WaitFor | Jump | JumpPattern | JumpLevel | JumpThreshold | Call | Return | Loop | If
-Motor = Move | MoveAnalogue | RunOn | Home
+Flow = (
+    RepeatUntil
+    | WaitFor
+    | JumpToLine
+    | JumpPattern
+    | JumpLevel
+    | JumpThreshold
+    | CallSubroutine
+    | ReturnFromCall
+    | LoopSegment
+    | IfComparison
+)
+Motor = MoveSteps | MoveAnalogue | RunOn | SearchHome
 Act = (
-    Blank | Force | Initialize | Move | MoveAnalogue | RunOn | Home | Arm | SetCurrent | SetRate | RateFromAnalogue
-    | Output | Delay | DelayAnalogue | Assign | Convert | Print | Input | Flag
-)  # fmt: skip
+    BlankLine
+    | ForceCounter
+    | InitializeState
+    | MoveSteps
+    | MoveAnalogue
+    | RunOn
+    | SearchHome
+    | ArmMove
+    | SetCurrent
+    | SetRate
+    | RateFromAnalogue
+    | SetOutput
+    | DelayTicks
+    | DelayAnalogue
+    | AssignRegister
+    | SetConversion
+    | PrintText
+    | ReadInput
+    | SetFlag
+)
 Statement = Flow | Act
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """One program line, as entered and as understood."""
+class StoredLine:
+    """One program line, as entered and as parsed."""
 
     text: str
     statement: Statement

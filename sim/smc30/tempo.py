@@ -1,4 +1,4 @@
-"""What a program waits for by time."""
+"""Timer of a program."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ from orchestrator.clock.base import Timer
 from sim.core.devicetime import DeviceTime
 
 
-class Tempo:
-    """The one thing a program waits for by time: its next line, a delay, a start latency. The Stop input halts it."""
+class PausableTimer:
+    """The single timer of a program: its next line, a delay, or a start latency. The Stop input pauses it."""
 
     def __init__(self, time: DeviceTime) -> None:
         self._time = time
@@ -17,36 +17,36 @@ class Tempo:
         self._left_ns = 0
         self.halted = False
 
-    def after(self, delay_ns: int, callback: Callable[[], None]) -> None:
-        """Call back when `delay_ns` of device time have passed that were not halted."""
+    def call_after(self, delay_ns: int, callback: Callable[[], None]) -> None:
+        """Call back after `delay_ns` of device time, not counting paused time."""
         self._callback = callback
         self._left_ns = delay_ns
         if not self.halted:
-            self._arm()
+            self._arm_timer()
 
-    def cancel(self) -> None:
+    def cancel_call(self) -> None:
         self._callback = None
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
-    def halt(self) -> None:
+    def pause_timer(self) -> None:
         self.halted = True
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
             self._left_ns = max(0, self._due_ns - self._time.now_ns())
 
-    def resume(self) -> None:
+    def resume_timer(self) -> None:
         self.halted = False
         if self._callback is not None:
-            self._arm()
+            self._arm_timer()
 
-    def _arm(self) -> None:
+    def _arm_timer(self) -> None:
         self._due_ns = self._time.now_ns() + self._left_ns
-        self._timer = self._time.call_at(self._due_ns, self._due)
+        self._timer = self._time.call_at(self._due_ns, self._handle_due)
 
-    def _due(self) -> None:
+    def _handle_due(self) -> None:
         self._timer = None
         callback, self._callback = self._callback, None
         if callback is not None:

@@ -1,41 +1,41 @@
-"""One SMC30: its modes, and what it answers (L1369-L1573)."""
+"""One SMC30: its modes and its replies (L1369-L1573)."""
 
 import re
 from collections.abc import Callable
 from enum import Enum, auto
 from typing import Literal
 
-from sim.core.controller import Motion
+from sim.core.controller import CommandedMotion
 from sim.core.devicetime import DeviceTime
-from sim.smc30.actions import Actions
-from sim.smc30.drive import Drive
-from sim.smc30.expressions import Values
-from sim.smc30.framing import Received
-from sim.smc30.inputs import ANALOGUE_INPUTS, Inputs
+from sim.smc30.actions import StatementExecutor
+from sim.smc30.drive import StepGenerator
+from sim.smc30.expressions import OperandValues
+from sim.smc30.framing import ReceivedString
+from sim.smc30.inputs import ANALOGUE_INPUTS, InputLevels
 from sim.smc30.memory import PermanentMemory, WorkingMemory
-from sim.smc30.modules import Modules
+from sim.smc30.modules import ExternalModules
 from sim.smc30.motor import Activity, MotorCommands
-from sim.smc30.operands import LAST_REGISTER, Predefined, bounded
-from sim.smc30.options import UnitOptions
-from sim.smc30.outputs import Outputs
-from sim.smc30.parameters import Parameters
-from sim.smc30.parser import compact, read_statement
-from sim.smc30.program import Program
-from sim.smc30.refusal import Code, Refused
+from sim.smc30.operands import LAST_REGISTER, PredefinedRegister, parse_bounded
+from sim.smc30.options import IndexerOptions
+from sim.smc30.outputs import UserOutputs
+from sim.smc30.parameters import MotorParameters
+from sim.smc30.parser import read_statement, strip_blanks
+from sim.smc30.program import ProgramInterpreter
+from sim.smc30.refusal import Code, StatementRefused
 from sim.smc30.statements import (
-    Assign,
-    Contact,
+    AssignRegister,
     Flow,
-    Home,
-    Initialize,
-    Line,
-    Move,
+    InitializeState,
+    InputContact,
     MoveAnalogue,
+    MoveSteps,
     RunOn,
+    SearchHome,
     SetCurrent,
     Statement,
+    StoredLine,
 )
-from sim.smc30.tempo import Tempo
+from sim.smc30.tempo import PausableTimer
 
 _NS_PER_MS = 1_000_000
 _SYSTEM = re.compile(r"(PE|PO|PX|TP|V1|V2|VS|VT|VR|VA|[EFKMQXZ])([+-]?\d*)")
@@ -45,25 +45,25 @@ _NOT_IN_PROGRAMMING = frozenset(("M", "X", "V1", "V2"))
 """Not accepted in Programming Mode: neither storable nor documented there (L2459)."""
 
 
-class Mode(Enum):
-    """Standby and Programming; Execute is when the program runs."""
+class IndexerMode(Enum):
+    """Standby and Programming; Execute is the state in which the program runs."""
 
     STANDBY = auto()
     PROGRAMMING = auto()
 
 
-class Unit:
-    """A unit and what is connected to it. `emit` takes a reply without checksum and CR.
+class StepIndexer:
+    """A device and its peripherals. `emit` receives a reply without checksum and CR.
 
-    poll_phase: where in its period the firmware looks at the user inputs, 0 to 1.
+    poll_phase: phase of the firmware's polling of the user inputs, 0 to 1 of its period.
     """
 
     def __init__(
         self,
         time: DeviceTime,
-        options: UnitOptions,
+        options: IndexerOptions,
         axis: str,
-        motions: list[Motion],
+        motions: list[CommandedMotion],
         emit: Callable[[str], None],
         poll_phase: float = 0.0,
     ) -> None:
@@ -71,24 +71,24 @@ class Unit:
         self.time = time
         self.options = options
         self._emit = emit
-        self._tempo = Tempo(time)
-        self._store_tempo = Tempo(time)
-        """Of the permanent memory, which the Stop input does not concern."""
+        self._tempo = PausableTimer(time)
+        self._store_tempo = PausableTimer(time)
+        """Timer of the permanent memory, which the Stop input does not affect."""
         poll_ns = round(options.input_poll_ms * _NS_PER_MS)
-        self.inputs = Inputs(
+        self.inputs = InputLevels(
             time,
             round(options.input_filter_ms * _NS_PER_MS),
             poll_ns,
             round(poll_phase * poll_ns),
             self._inputs_changed,
         )
-        self.outputs = Outputs()
-        self.drive = Drive(time, axis, motions, options.travel_steps)
-        self.modules = Modules(options)
-        self._values = Values(Parameters(), self.inputs, self.drive, options.overflow_wraps)
-        self._motor = MotorCommands(options, self._tempo, self.drive, self._values, self._abort)
+        self.outputs = UserOutputs()
+        self.drive = StepGenerator(time, axis, motions, options.travel_steps)
+        self.modules = ExternalModules(options)
+        self._values = OperandValues(MotorParameters(), self.inputs, self.drive, options.overflow_wraps)
+        self._motor = MotorCommands(options, self._tempo, self.drive, self._values, self._abort_all)
         self._permanent = PermanentMemory()
-        self._actions = Actions(
+        self._actions = StatementExecutor(
             options,
             self._tempo,
             self._store_tempo,
@@ -100,67 +100,69 @@ class Unit:
             emit,
         )
         line_ns = round(options.line_ms * _NS_PER_MS)
-        self._program = Program(time, self._tempo, line_ns, self._values, self._actions, self._program_over)
+        self._program = ProgramInterpreter(
+            time, self._tempo, line_ns, self._values, self._actions, self._handle_program_end
+        )
         self._working = WorkingMemory()
-        self._mode = Mode.STANDBY
+        self._mode = IndexerMode.STANDBY
         self._direct = False
-        """A command given in Standby goes on."""
+        """A command given in Standby is in progress."""
         self._storing = False
-        """It is an access to the permanent memory, which nothing interrupts."""
+        """It is an access to the permanent memory, which cannot be interrupted."""
         self._fault: Code | None = None
-        """Why a program has ended; told by the next F (decision 26)."""
+        """Error that ended a program; reported by the next F (decision 26)."""
         self._first = options.power_up_e1
         self.on = True
 
     # State
 
     @property
-    def busy(self) -> bool:
-        """A program runs, or a command given in Standby goes on, or the motor turns."""
-        return self._program.running or self._direct or self.drive.occupied
+    def is_busy(self) -> bool:
+        """A program runs, a command given in Standby is in progress, or the motor turns."""
+        return self._program.running or self._direct or self.drive.is_occupied
 
     @property
-    def parameters(self) -> Parameters:
-        """What the next motor command would use."""
+    def motor_parameters(self) -> MotorParameters:
+        """Parameters of the next motor command."""
         return self._values.parameters
 
-    # Power and the world
+    # Power and environment
 
     def power_down(self) -> None:
-        """The motor stops dead; all but the permanent memory is lost."""
+        """Switch off: the motor stops dead; everything but the permanent memory is lost."""
         self.on = False
-        self._abort()
-        self.drive.kill()
-        self.outputs.clear()
+        self._abort_all()
+        self.drive.discard_run()
+        self.outputs.clear_outputs()
 
     def power_up(self) -> None:
-        """Defaults and an empty working memory; with REC the permanent program runs (L1871-L1873)."""
+        """Switch on with defaults and an empty working memory; with REC the permanent program runs (L1871-L1873)."""
         self.on = True
-        self._values.parameters = Parameters()
+        self._values.parameters = MotorParameters()
         self._values.registers.values.clear()
         self._values.delay = 0
         self._motor.conversion.factor = None
         self._motor.conversion.remainder = 0
-        self._working.clear()
-        self._mode = Mode.STANDBY
+        self._working.clear_program()
+        self._mode = IndexerMode.STANDBY
         self._fault = None
         self._first = self.options.power_up_e1
         self.drive.set_counter(0)
         self.inputs.power_up()
         if self.options.rec and not self.options.e2prom_fault:
-            self._working.load(self._permanent.program)
-            self._program.start(self._working.lines)
+            self._working.load_program(self._permanent.program)
+            self._program.start_program(self._working.lines)
 
-    def hold(self, held: bool) -> None:
-        """The Stop input pulled to ground, or released (L830-L850)."""
+    def set_stop_input(self, held: bool) -> None:
+        """Set the Stop input: pulled to ground, or released (L830-L850)."""
         if held == self.drive.held:
             return
         if held:
-            self._tempo.halt()
-            self.drive.hold(True)
+            self._tempo.pause_timer()
+            self.drive.set_stop_input(True)
         else:
-            self._tempo.resume()
-            self.drive.hold(False)
+            self._tempo.resume_timer()
+            self.drive.set_stop_input(False)
             self._inputs_changed()
 
     def _inputs_changed(self) -> None:
@@ -170,7 +172,7 @@ class Unit:
 
     # Commands
 
-    def take(self, received: Received) -> None:
+    def handle_string(self, received: ReceivedString) -> None:
         """Answer one string."""
         if self._first:
             self._first = False
@@ -179,168 +181,168 @@ class Unit:
         if not received.intact:
             self._emit("E1")
             return
-        text = compact(received.text)
-        if not text and self._mode is not Mode.PROGRAMMING:
+        text = strip_blanks(received.text)
+        if not text and self._mode is not IndexerMode.PROGRAMMING:
             return
         try:
-            self._command(text)
-        except Refused as refusal:
+            self._handle_command(text)
+        except StatementRefused as refusal:
             self._emit(refusal.code)
 
-    def _command(self, text: str) -> None:
+    def _handle_command(self, text: str) -> None:
         match = _SYSTEM.fullmatch(text)
         name, argument = (match[1], match[2]) if match else ("", "")
-        if self.busy and not self._heard(name):
+        if self.is_busy and not self._is_accepted(name):
             self._emit("B")
             return
         if match is None:
-            self._statement(text, read_statement(text))
+            self._handle_statement(text, read_statement(text))
             return
         if argument and name not in ("VA", "VR"):
-            raise Refused("E2")
-        if self._mode is Mode.PROGRAMMING and name in _NOT_IN_PROGRAMMING:
-            raise Refused("E4")
-        self._system(name, argument)
+            raise StatementRefused("E2")
+        if self._mode is IndexerMode.PROGRAMMING and name in _NOT_IN_PROGRAMMING:
+            raise StatementRefused("E4")
+        self._run_system_command(name, argument)
 
-    def _heard(self, name: str) -> bool:
-        """Whether a command is taken while the unit is busy."""
+    def _is_accepted(self, name: str) -> bool:
+        """Return whether a command is accepted while the device is busy."""
         if self._storing:
             return False
         return name in ("F", "K", "Z") or (name in ("V1", "V2") and self.options.live_verify)
 
-    def _system(self, name: str, argument: str) -> None:
+    def _run_system_command(self, name: str, argument: str) -> None:
         match name:
             case "F":
-                self._emit(self._status())
+                self._emit(self._format_status())
             case "K":
-                self._abort()
-                self.drive.kill()
+                self._abort_all()
+                self.drive.discard_run()
                 self.drive.overflow = False
                 self._emit("Y")
             case "Z":
-                self._abort()
+                self._abort_all()
                 self.drive.ramp_down()
                 self._emit("Y")
             case "E":
-                self._mode = Mode.STANDBY
+                self._mode = IndexerMode.STANDBY
                 self._emit("Y")
                 self._fault = None
-                self._program.start(self._working.lines)
+                self._program.start_program(self._working.lines)
             case "PO":
-                self._working.clear()
-                self._mode = Mode.PROGRAMMING
+                self._working.clear_program()
+                self._mode = IndexerMode.PROGRAMMING
                 self._emit("Y")
             case "PE":
-                self._mode = Mode.PROGRAMMING
+                self._mode = IndexerMode.PROGRAMMING
                 self._emit("Y")
             case "PX":
-                self._mode = Mode.STANDBY
+                self._mode = IndexerMode.STANDBY
                 self._emit("Y")
             case "M":
-                self._store(self._actions.lasting(self.options.save_s, self._save))
+                self._access_memory(self._actions.access_memory(self.options.save_s, self._save_program))
             case "X":
-                self._store(self._actions.lasting(self.options.recall_s, self._recall))
+                self._access_memory(self._actions.access_memory(self.options.recall_s, self._recall_program))
             case "Q":
                 for line in self._working.lines:
                     self._emit(line.text)
                 self._emit("Y")
             case _:
-                self._emit(self._verified(name, argument))
+                self._emit(self._answer_query(name, argument))
 
-    def _status(self) -> str:
-        if self.busy:
+    def _format_status(self) -> str:
+        if self.is_busy:
             return "B"
         if self.drive.overflow:
             return "E5"
         fault, self._fault = self._fault, None
         return fault or "R"
 
-    def _verified(self, name: str, argument: str) -> str:
-        """The answer to a query (L1914-L1931, L2349-L2487, L3006-L3015; decisions 7-10)."""
+    def _answer_query(self, name: str, argument: str) -> str:
+        """Return the answer to a query (L1914-L1931, L2349-L2487, L3006-L3015; decisions 7-10)."""
         parameters = self._values.parameters
         match name:
             case "V1":
-                return f"V{self.drive.counter:+d}"
+                return f"V{self.drive.position_counter:+d}"
             case "V2":
-                return f"V{self.inputs.pattern()}{self.outputs.pattern()}"
+                return f"V{self.inputs.user_pattern()}{self.outputs.output_pattern()}"
             case "VS":
                 return f"S{parameters.start}"
             case "VT":
                 return f"T{parameters.top}"
             case "VR" if not argument:
-                return f"R{parameters.ramp}"
+                return f"R{parameters.ramp_steps}"
             case "VR":
-                number = bounded(argument, 0, LAST_REGISTER) if argument.isdigit() else _refuse("E4")
-                return f"R{number}={self._values.registers.read(number)}"
+                number = parse_bounded(argument, 0, LAST_REGISTER) if argument.isdigit() else _raise_refused("E4")
+                return f"R{number}={self._values.registers.read_register(number)}"
             case "VA" if not argument:
-                contacts = (Contact(number, analogue=True) for number in range(1, ANALOGUE_INPUTS + 1))
-                return "VA" + "".join("1" if self.inputs.closed(contact) else "0" for contact in contacts)
+                contacts = (InputContact(number, analogue=True) for number in range(1, ANALOGUE_INPUTS + 1))
+                return "VA" + "".join("1" if self.inputs.is_closed(contact) else "0" for contact in contacts)
             case "VA":
-                number = bounded(argument, 1, ANALOGUE_INPUTS) if argument.isdigit() else _refuse("E4")
-                return f"VA{number}={self.inputs.analogue(number) * 2 / 100:.2f}"
+                number = parse_bounded(argument, 1, ANALOGUE_INPUTS) if argument.isdigit() else _raise_refused("E4")
+                return f"VA{number}={self.inputs.analogue_level(number) * 2 / 100:.2f}"
             case _:
                 return f"TP{self.options.temperature_c}"
 
-    def _statement(self, text: str, statement: Statement) -> None:
+    def _handle_statement(self, text: str, statement: Statement) -> None:
         if isinstance(statement, SetCurrent) and statement.milliamps > _MOST_MILLIAMPS[self.options.type]:
-            raise Refused("E4")
-        if self._mode is Mode.PROGRAMMING:
-            self._working.append(Line(text, statement))
+            raise StatementRefused("E4")
+        if self._mode is IndexerMode.PROGRAMMING:
+            self._working.append_line(StoredLine(text, statement))
             self._emit("Y")
             return
-        if isinstance(statement, Flow | RunOn) or _loops(statement):
-            raise Refused("E4")
-        if isinstance(statement, Move | MoveAnalogue | Home) and not self.options.direct_moves:
-            raise Refused("E4")
-        activity = self._actions.perform(statement)
-        if activity is not None and isinstance(statement, Initialize):
-            self._store(activity)
+        if isinstance(statement, Flow | RunOn) or _is_loop_assignment(statement):
+            raise StatementRefused("E4")
+        if isinstance(statement, MoveSteps | MoveAnalogue | SearchHome) and not self.options.direct_moves:
+            raise StatementRefused("E4")
+        activity = self._actions.execute_statement(statement)
+        if activity is not None and isinstance(statement, InitializeState):
+            self._access_memory(activity)
             return
         self._emit("Y")
         if activity is not None:
             self._direct = True
-            activity(self._direct_over)
+            activity(self._finish_direct)
 
-    def _store(self, activity: Activity) -> None:
+    def _access_memory(self, activity: Activity) -> None:
         """Access the permanent memory and answer at the end (decision 30)."""
 
-        def over() -> None:
+        def finish_access() -> None:
             self._direct = self._storing = False
             self._emit("Y")
 
         self._direct = self._storing = True
-        activity(over)
+        activity(finish_access)
 
-    def _direct_over(self) -> None:
+    def _finish_direct(self) -> None:
         self._direct = False
 
-    def _save(self) -> None:
+    def _save_program(self) -> None:
         self._permanent.program = list(self._working.lines)
 
-    def _recall(self) -> None:
-        self._working.load(self._permanent.program)
+    def _recall_program(self) -> None:
+        self._working.load_program(self._permanent.program)
 
-    # Ends
+    # End of programs and commands
 
-    def _abort(self) -> None:
-        """Standby at once (L1854)."""
-        self._program.abort()
-        self._motor.abort()
-        self._tempo.cancel()
-        self._store_tempo.cancel()
+    def _abort_all(self) -> None:
+        """Return to Standby immediately (L1854)."""
+        self._program.abort_program()
+        self._motor.abort_motion()
+        self._tempo.cancel_call()
+        self._store_tempo.cancel_call()
         self._direct = self._storing = False
-        self._mode = Mode.STANDBY
+        self._mode = IndexerMode.STANDBY
 
-    def _program_over(self, code: Code | None) -> None:
+    def _handle_program_end(self, code: Code | None) -> None:
         if code is not None:
             self._fault = code
             self._motor.armed = None
 
 
-def _loops(statement: Statement) -> bool:
-    """L=…, which is flow as well."""
-    return isinstance(statement, Assign) and statement.target == Predefined("L")
+def _is_loop_assignment(statement: Statement) -> bool:
+    """Return whether the statement is L=…, which is flow as well."""
+    return isinstance(statement, AssignRegister) and statement.target == PredefinedRegister("L")
 
 
-def _refuse(code: Literal["E4"]) -> int:
-    raise Refused(code)
+def _raise_refused(code: Literal["E4"]) -> int:
+    raise StatementRefused(code)

@@ -1,66 +1,70 @@
-"""What starts the automatic routines: limits, errors, inputs, lost connections (L14325-L14369, L15443-L15613)."""
+"""Start of the automatic routines: limits, errors, inputs, lost connections (L14325-L14369, L15443-L15613)."""
 
 from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
-from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.motion.axis import ServoAxis
 
 if TYPE_CHECKING:
-    from sim.yaskawa.machine import Machine
+    from sim.yaskawa.machine import ControllerCore
 
 
-class Events:
-    """Watches for the conditions of #LIMSWI, #POSERR and #ININT; all of them need thread 0 to run."""
+class AutomaticEvents:
+    """Watches the conditions of #LIMSWI, #POSERR and #ININT; all of them need thread 0 to run."""
 
-    def __init__(self, machine: "Machine") -> None:
+    def __init__(self, machine: "ControllerCore") -> None:
         self.machine = machine
-        self.limit_met = False
-        self.error_met = False
-        """An amplifier has gone off because of its error, which is told although the servo is off by now."""
+        self.limit_reached = False
+        self.error_reached = False
+        """An amplifier has switched off because of its error, which is reported although the servo is off by now."""
 
-    def met_limit(self) -> None:
-        """A moving axis has met a limit."""
-        self.limit_met = self.machine.interpreter.threads[0].running
+    def handle_limit(self) -> None:
+        """Handle a moving axis that reaches a limit."""
+        self.limit_reached = self.machine.interpreter.threads[0].running
 
-    def met_error(self) -> None:
-        """Off-on-error has acted (L8029)."""
-        self.error_met = self.machine.interpreter.threads[0].running
+    def handle_error(self) -> None:
+        """Handle an off-on-error (L8029)."""
+        self.error_reached = self.machine.interpreter.threads[0].running
 
     @property
-    def watched(self) -> bool:
-        """Whether there is a routine for a condition that `poll` would find."""
+    def has_routines(self) -> bool:
+        """Return whether there is a routine for a condition that `start_due_routines` could find."""
         return not self.machine.program.labels.keys().isdisjoint(("LIMSWI", "POSERR"))
 
-    def poll(self) -> None:
-        """Between two lines, and in every event: start a routine whose condition holds."""
+    def start_due_routines(self) -> None:
+        """Start a routine whose condition holds; called between two lines, and in every event."""
         machine = self.machine
         if not machine.interpreter.threads[0].running:
             return
-        now = machine.now()
+        now = machine.current_sample()
         labels = machine.program.labels
-        if "LIMSWI" in labels and self.limit_met:
-            if self._limit_stands(now):
+        if "LIMSWI" in labels and self.limit_reached:
+            if self._is_limit_active(now):
                 machine.interpreter.raise_event("LIMSWI")
             elif machine.interpreter.raise_event("LIMSWI"):
-                self.limit_met = False
-        wanted = "POSERR" in labels and (self.error_met or self._error_stands(now))
+                self.limit_reached = False
+        wanted = "POSERR" in labels and (self.error_reached or self._is_error_active(now))
         if wanted and machine.interpreter.raise_event("POSERR"):
-            self.error_met = False
+            self.error_reached = False
 
-    def _limit_stands(self, now: int) -> bool:
+    def _is_limit_active(self, now: int) -> bool:
         motion = self.machine.motion
         return any(motion.limit_active(axis, side, now) for axis in motion.real for side in (True, False))
 
-    def _error_stands(self, now: int) -> bool:
-        return any(self.beyond(axis, axis.error(now)) for axis in self.machine.motion.real if axis.frozen is not None)
+    def _is_error_active(self, now: int) -> bool:
+        return any(
+            self.exceeds_error_limit(axis, axis.position_error(now))
+            for axis in self.machine.motion.real
+            if axis.frozen is not None
+        )
 
-    def beyond(self, axis: Axis, error: int) -> bool:
-        """Whether a position error is beyond ER, for a servo that is on (L4962)."""
-        limit = fixed.truncated(axis.registers["ER"])
+    def exceeds_error_limit(self, axis: ServoAxis, error: int) -> bool:
+        """Return whether a position error is beyond ER, for a servo that is on (L4962)."""
+        limit = fixed.to_integer(axis.registers["ER"])
         return bool(limit) and not axis.virtual and not axis.motor_off and abs(error) > limit
 
     def inputs_changed(self, number: int, level: bool) -> None:
-        """An input that is enabled by II has come to its active level (L5952)."""
+        """Handle an input that is enabled by II and becomes active (L5952)."""
         interpreter = self.machine.interpreter
         if not interpreter.interrupts_on:
             return

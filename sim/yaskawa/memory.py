@@ -1,12 +1,12 @@
-"""Non-volatile memory: what BN, BP, BV, LC and PW keep (L3239-L3325, L6735, L8441)."""
+"""Non-volatile memory: the values that BN, BP, BV, LC and PW burn (L3239-L3325, L6735, L8441)."""
 
 import copy
 from typing import TYPE_CHECKING
 
-from sim.yaskawa.motion.cam import Cam
+from sim.yaskawa.motion.cam import ElectronicCam
 
 if TYPE_CHECKING:
-    from sim.yaskawa.machine import Machine
+    from sim.yaskawa.machine import ControllerCore
 
 _SCALARS = (
     "layout",
@@ -22,27 +22,27 @@ _SCALARS = (
 )
 
 
-class Memory:
+class BurnedMemory:
     """The EEPROM of one controller."""
 
-    def __init__(self, machine: "Machine") -> None:
+    def __init__(self, machine: "ControllerCore") -> None:
         self.machine = machine
-        self.erase()
+        self.erase_burned()
         self.factory = False
-        """Erased since it was built, so that not even the option of the echo holds any more."""
+        """Erased since construction, so that even the option of the echo no longer applies."""
 
-    def erase(self) -> None:
-        """Master reset: nothing is burned."""
+    def erase_burned(self) -> None:
+        """Master reset: erase all burned values."""
         self.factory = True
         self.password = self.machine.model.password
         self.discard_parameters()
         self._program: list[str] = []
-        self._cam: Cam | None = None
+        self._cam: ElectronicCam | None = None
         self._variables: dict[str, int] = {}
         self._arrays: dict[str, list[int]] = {}
 
     def discard_parameters(self) -> None:
-        """Nothing of BN is kept any more; `PW` does so (L8450)."""
+        """Discard the values burned by BN; `PW` does so (L8450)."""
         self._lock = 0
         self._registers: dict[str, dict[str, int]] = {}
         self._scalars: dict[str, object] = {}
@@ -74,14 +74,14 @@ class Memory:
 
     def _burn_cam(self) -> None:
         self._cam = copy.deepcopy(self.machine.motion.cam)
-        self._cam.release()
+        self._cam.disengage_all()
 
     def burn_period(self, period_us: int) -> None:
-        """`TM` and `BN` of nothing else; it takes effect at once."""
+        """Burn only `TM`; it takes effect at once."""
         self._period = period_us
         self.machine.timebase.set_period(period_us)
-        self.machine.rescheduled()
-        self.machine.go_on()
+        self.machine.handle_rescheduling()
+        self.machine.run_ready()
 
     def burn_lock(self) -> None:
         """`LC` burns itself (L6741)."""
@@ -97,33 +97,33 @@ class Memory:
         self._variables = dict(self.machine.data.variables)
         self._arrays = {name: list(array) for name, array in self.machine.data.arrays.items()}
 
-    def restore(self) -> None:
-        """Power-up and `RS`: the burned state; `#AUTO` runs when it is burned (L15443)."""
+    def restore_burned(self) -> None:
+        """Power-up and `RS`: restore the burned state; `#AUTO` runs when it is burned (L15443)."""
         machine = self.machine
         self.restore_parameters()
         if self._program:
-            machine.program.insert(0, list(self._program))
+            machine.program.insert_lines(0, list(self._program))
         if self._cam is not None:
             machine.motion.cam = copy.deepcopy(self._cam)
         machine.data.variables = dict(self._variables)
         machine.data.arrays = {name: list(array) for name, array in self._arrays.items()}
         auto = machine.program.labels.get("AUTO")
         if auto is not None:
-            machine.interpreter.threads[0].start(auto, 0, machine.now())
+            machine.interpreter.threads[0].start_at(auto, 0, machine.current_sample())
 
     def restore_parameters(self) -> None:
-        """What BN has kept."""
+        """Restore the values burned by BN."""
         machine = self.machine
         for axis in machine.motion.all_axes():
             axis.registers.update(self._registers.get(axis.name, {}))
             if not axis.virtual and not self._motors.get(axis.name, not machine.options.servo_on):
-                machine.motion.motor_on(axis, machine.now())
+                machine.motion.switch_motor_on(axis, machine.current_sample())
             source, axis.gear.gantry = self._gears.get(axis.name, ("", False))
             if source:
                 from sim.yaskawa.commands.gear import select_master
 
                 select_master(machine, axis, source)
-                axis.gear.set_ratio(axis.registers["GR"] / 65536, machine.now())
+                axis.gear.set_ratio(axis.registers["GR"] / 65536, machine.current_sample())
         for name, value in self._scalars.items():
             setattr(machine, name, value)
         for name, (speed, up, down, smoothing) in self._systems.items():

@@ -4,17 +4,17 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.context import Context
+from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import Evaluator
 
 if TYPE_CHECKING:
-    from sim.yaskawa.machine import Machine
+    from sim.yaskawa.machine import ControllerCore
 
 
-class Recorder:
+class DataRecorder:
     """Writes one element of each array every 2^n samples."""
 
-    def __init__(self, machine: "Machine") -> None:
+    def __init__(self, machine: "ControllerCore") -> None:
         self.machine = machine
         self.arrays: list[str] = []
         self.sources: list[Evaluator] = []
@@ -25,16 +25,16 @@ class Recorder:
         self._length = 0
         self._circular = False
 
-    def start(self, exponent: int, records: int | None, now: int) -> None:
+    def start_recording(self, exponent: int, records: int | None, now: int) -> None:
         """`RC n,m`; n 0 stops."""
         if exponent == 0:
-            self.stop()
+            self.stop_recording()
             return
         if self.running:
             raise CommandError(80)
         if not self.arrays or not self.sources:
             raise CommandError(81)
-        sizes = [len(self.machine.data.array(name)) for name in self.arrays]
+        sizes = [len(self.machine.data.get_array(name)) for name in self.arrays]
         length = min(sizes) if not records else abs(records)
         if length > min(sizes):
             raise CommandError(84)
@@ -44,13 +44,13 @@ class Recorder:
         self._period, self.index, self.running = 1 << exponent, 0, True
         self.due = now
 
-    def stop(self) -> None:
+    def stop_recording(self) -> None:
         self.running = False
         self.due = inf
 
-    def run(self, now: int) -> None:
-        """Take the records that are due."""
-        context = Context(self.machine)
+    def record_due(self, now: int) -> None:
+        """Record the values that are due."""
+        context = CommandContext(self.machine)
         while self.due <= now:
             for name, source in zip(self.arrays, self.sources, strict=False):
                 array = self.machine.data.arrays.get(name)
@@ -61,4 +61,4 @@ class Recorder:
             if self.index >= self._length:
                 self.index = 0
                 if not self._circular:
-                    self.stop()
+                    self.stop_recording()

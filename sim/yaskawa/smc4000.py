@@ -3,28 +3,28 @@
 from collections.abc import Mapping
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Timing
+from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
-from sim.yaskawa.base.data import Room
-from sim.yaskawa.base.formats import Format
-from sim.yaskawa.base.model import Burning, Figures, Model
+from sim.yaskawa.base.data import MemoryCapacity
+from sim.yaskawa.base.formats import NumberFormat
+from sim.yaskawa.base.model import BurnTimes, ControllerModel, MotionFigures
 from sim.yaskawa.base.options import Smc4000Options
-from sim.yaskawa.controller import Bench, Controller
+from sim.yaskawa.controller import YaskawaBench, YaskawaController
 from sim.yaskawa.language import parameters
 from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language.expressions import FUNCTIONS
-from sim.yaskawa.machine import Machine
+from sim.yaskawa.machine import ControllerCore
 
 LOCK_ALL = 2
-"""Level of LC at which nothing but LC itself is taken (L6735); TC still tells why (L6798)."""
+"""Level of LC at which only LC itself is accepted (L6735); TC still reports why (L6798)."""
 
 
-def _locks(level: int, op: str, lock: str, text: str) -> bool:
+def _is_locked(level: int, op: str, lock: str, text: str) -> bool:
     return str(level) in lock or (level == LOCK_ALL and op not in ("LC", "TC"))
 
 
-MODEL = Model(
+MODEL = ControllerModel(
     name="smc4000",
     revision="SMC4040 Rev 1.0a",
     ports=("tcp", "udp", "serial"),
@@ -34,7 +34,7 @@ MODEL = Model(
     functions=frozenset(FUNCTIONS),
     texts=errors.SMC4000,
     letters="XYZW",
-    figures=Figures(
+    figures=MotionFigures(
         fastest=(12_000_000, 8_000_000),
         vector=(25000, 256000, 256000),
         home_speed=512,
@@ -44,20 +44,20 @@ MODEL = Model(
         virtual_axis=True,
         systems="ST",
     ),
-    room=Room(lines=2000, labels=510, variables=510, elements=15000, zero_frees=True),
+    room=MemoryCapacity(lines=2000, labels=510, variables=510, elements=15000, zero_frees=True),
     threads=8,
     time_bases=lambda axes: (250, 20000, 125),
-    burning=Burning({"BN": 1, "BP": 3, "BV": 1}, at_rest=frozenset(("BP", "BV")), cam=True),
-    locks=_locks,
+    burning=BurnTimes({"BN": 1, "BP": 3, "BV": 1}, at_rest=frozenset(("BP", "BV")), cam=True),
+    locks=_is_locked,
     lock_levels=3,
     formats={
-        "CM": Format(1, 0),
-        "LC": Format(1, 0),
-        "PF": Format(2, 1),
-        "VF": Format(2, 1),
+        "CM": NumberFormat(1, 0),
+        "LC": NumberFormat(1, 0),
+        "PF": NumberFormat(2, 1),
+        "VF": NumberFormat(2, 1),
         "VA": None,
         "VD": None,
-        "VT": Format(1, 4),
+        "VT": NumberFormat(1, 4),
     },
     handles="ABCDEFGH",
     comments=("'", "NO "),
@@ -75,33 +75,33 @@ MODEL = Model(
 
 
 class Smc4000Simulator:
-    """Builds simulated SMC-4000 controllers; fulfils `Simulator`."""
+    """Builds simulated SMC-4000 controllers; implements `Simulator`."""
 
     @property
     def model(self) -> str:
         return MODEL.name
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
-    ) -> Controller:
-        """A powered-up controller. Options are the fields of `Smc4000Options`; `ValueError` names a wrong one."""
+    ) -> YaskawaController:
+        """Build a powered-up controller. Options are the fields of `Smc4000Options`; `ValueError` names a wrong one."""
         chosen = Smc4000Options.model_validate(dict(options))
-        machine = Machine(clock, MODEL, chosen, oscillator or Oscillator(), timing or Timing(), seed)
+        machine = ControllerCore(clock, MODEL, chosen, oscillator or Oscillator(), timing or FirmwareTiming(), seed)
         usual = (chosen.link, *(port for port in MODEL.ports if port != chosen.link))
         machine.ports.first_handle = chosen.handle or ""
         machine.ports.strict_packets = chosen.strict_packets
-        machine.go_on()
-        return Controller(machine, usual)
+        machine.run_ready()
+        return YaskawaController(machine, usual)
 
-    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> Bench:
-        """The same, ideal in time, with the handles that test vectors need."""
-        return Bench(self.build(clock, options))
+    def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> YaskawaBench:
+        """Build the same controller, ideal in time, with the handles that test vectors need."""
+        return YaskawaBench(self.build_controller(clock, options))
 
 
 SMC4000 = Smc4000Simulator()

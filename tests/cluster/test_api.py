@@ -5,9 +5,9 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, job, run_fleet
 
-from orchestrator.client import Refused, Tutti
+from orchestrator.client import Refusal, Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.model.report import Progress, Transition
+from orchestrator.model.report import JobProgress, JobTransition
 from orchestrator.runtime.virtual import VirtualFleet
 
 MOVE = job("[{do: move, to: {gantry.x: 60}, speed: 0.2}, {do: dwell, duration: 0.5 s}]")
@@ -17,12 +17,12 @@ LIFE = ["queued", "planning", "arming", "armed", "committed", "running"]
 def test_a_job_is_followed_by_each_change_of_its_state_once_and_by_its_progress() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
-        await client.wait(await client.submit(PREPARE))
+        await client.wait_for_job(await client.submit(PREPARE))
         submitted = await client.submit(MOVE)
-        changes: list[Transition] = []
-        progress: list[Progress] = []
+        changes: list[JobTransition] = []
+        progress: list[JobProgress] = []
         async for event in submitted.events():
-            (changes if isinstance(event, Transition) else progress).append(event)  # type: ignore[arg-type]
+            (changes if isinstance(event, JobTransition) else progress).append(event)  # type: ignore[arg-type]
         report = await submitted.result()
         assert report.state == "done" and report.job_id == submitted == submitted.id
         assert [each.state for each in changes][:6] == LIFE
@@ -38,7 +38,7 @@ def test_an_ended_job_is_told_from_the_journal_and_by_its_id_alone() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
         job_id = (await client.submit(job("[{do: dwell, duration: 0.1 s}]"))).id
-        await client.wait(job_id)
+        await client.wait_for_job(job_id)
         seen = [event.state async for event in fleet.client("later").job(job_id).events()]
         assert seen[0] == "queued" and seen[-1] == "done"
 
@@ -48,11 +48,11 @@ def test_an_ended_job_is_told_from_the_journal_and_by_its_id_alone() -> None:
 def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
-        await client.wait(await client.submit(PREPARE))
+        await client.wait_for_job(await client.submit(PREPARE))
         submitted = await client.submit(MOVE)
 
         async def states() -> list[str]:
-            return [event.state async for event in submitted.events() if isinstance(event, Transition)]
+            return [event.state async for event in submitted.events() if isinstance(event, JobTransition)]
 
         listening = asyncio.ensure_future(states())
         await sleep_ns(fleet.clock, NS_PER_S)
@@ -68,10 +68,10 @@ def test_events_outlive_a_coordinator_and_lose_no_change() -> None:
 
 def test_a_job_that_does_not_exist_and_a_connection_that_is_not_open_are_named() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        with pytest.raises(Refused) as refused:
+        with pytest.raises(Refusal) as refused:
             async for _ in fleet.client().job("none").events():
                 pass
-        assert refused.value.refusal.code == "unknown-job"
+        assert refused.value.code == "unknown-job"
 
     run_fleet(main)
     with pytest.raises(RuntimeError, match="async with"):

@@ -5,7 +5,7 @@ from cluster.test_chain import chain_fleet
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 
 from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30, smc4000
-from orchestrator.client.clocks import clocks
+from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
@@ -17,13 +17,13 @@ PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gant
 def test_starts_and_ends_are_within_what_was_predicted(seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         move = job("[{do: move, to: {gantry.x: 200, feeder.x: 90, outlet.x: 70}, speed: 0.05}]", max_start_skew="50 ms")
         report = await outcome(fleet, move)
         assert report.state == "done", report.reason
         budget = report.steps[0].budget
         assert budget is not None and budget.end is not None and budget.path is not None
-        made = [fleet.controllers[name].motions[before[name]] for name in ("gantry", "feeder", "outlet")]
+        made = [fleet.controllers[name].commanded_motions[before[name]] for name in ("gantry", "feeder", "outlet")]
         starts = [each.start_ns for each in made]
         ends = [each.end_ns or 0 for each in made]
         assert max(starts) - min(starts) <= budget.predicted_ns
@@ -50,7 +50,7 @@ def test_a_budget_that_a_job_does_not_allow_refuses_the_step(what: str) -> None:
 def test_every_controllers_clock_can_be_asked_for_and_its_bound_holds_the_rate() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        found = await clocks(fleet.client())
+        found = await query_clocks(fleet.client())
         assert list(found) == ["feeder", "gantry", "outlet", "turner"]
         for name, reply in found.items():
             mapping = reply.mapping
@@ -75,11 +75,11 @@ def test_a_vague_start_is_narrowed_by_the_promise_and_the_evidence_alone_holds_w
         await outcome(fleet, job("[{do: enable, axes: [stage]}, {do: home, axes: [stage]}]"))
         starts = []
         for target in (5, 1, 5, 1):
-            before = len(fleet.controllers["stage"].motions)
+            before = len(fleet.controllers["stage"].commanded_motions)
             report = await outcome(fleet, job(f"[{{do: move, to: {{stage.u: {target}}}}}]", max_start_skew="50 ms"))
             assert report.state == "done", report.reason
             origin_ns = origin_host_ns(fleet)
-            true_ns = fleet.controllers["stage"].motions[before].start_ns - origin_ns
+            true_ns = fleet.controllers["stage"].commanded_motions[before].start_ns - origin_ns
             evidence = report.steps[0].members["stage"].evidence["u"]
             assert evidence.start.earliest_ns <= true_ns <= evidence.start.latest_ns
             if evidence.modelled is not None:
@@ -98,17 +98,17 @@ def test_who_can_not_go_so_slowly_ends_early_as_far_as_the_job_allows_and_is_ref
     async def main(fleet: VirtualFleet) -> None:
         axes = list(fleet.controllers)
         await outcome(fleet, job(f"[{{do: enable, axes: {axes}}}, {{do: home, axes: {axes}}}]"))
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         move = f"[{{do: move, by: {way}, speed: 0.2}}]"
         refused = await refusal(fleet, job(move, max_start_skew="50 ms"))
         assert refused.code == "too-slow" and refused.member in slow and "max_end_skew" in (refused.remedy or "")
-        assert before == {name: len(each.motions) for name, each in fleet.controllers.items()}
+        assert before == {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         report = await outcome(fleet, job(move, max_start_skew="50 ms", max_end_skew="3 s"))
         assert report.state == "done", report.reason
         step = report.steps[0]
         ends: dict[str, int] = {}
         for name, each in fleet.controllers.items():
-            (motion,) = each.motions[before[name] :]
+            (motion,) = each.commanded_motions[before[name] :]
             evidence = step.members[name].evidence["x"].end
             ends[name] = (motion.end_ns or 0) - origin_host_ns(fleet)
             assert evidence is not None and evidence.earliest_ns <= ends[name] <= evidence.latest_ns

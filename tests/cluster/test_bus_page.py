@@ -43,7 +43,7 @@ EXAMPLES: dict[str, Any] = {
     "dry_run": False,
     "event": None,
     "from_step": 0,
-    "holder": "hand-reader",
+    "holder": "manual-reader",
     "i_know": True,
     "job_id": "none",
     "job_ids": ["none"],
@@ -111,9 +111,9 @@ def models_of(cell: str) -> list[type[Model]]:
 
 def test_the_page_names_every_verb_of_the_service_and_nothing_else() -> None:
     async def main(fleet: VirtualFleet) -> set[str]:
-        with pytest.raises(RequestRefused, match="known:") as refused:
+        with pytest.raises(RequestRefused, match="known verbs:") as refused:
             await fleet.client().bus.request(f"{fleet.client().keys.prefix}/svc/no-such", b"{}", 1.0)
-        return set(str(refused.value).partition("known: ")[2].split(", "))
+        return set(str(refused.value).partition("known verbs: ")[2].split(", "))
 
     named = {key.removeprefix("svc/") for key, _, _ in requests() if key.startswith("svc/")}
     assert named == run_fleet(main)
@@ -158,9 +158,11 @@ def test_every_key_of_the_page_is_heard_while_a_job_runs_and_holds_what_it_names
             expression = re.sub(r"\{\w+\}", "*", f"{client.keys.prefix}/{key}")
             await client.bus.subscribe(expression, heard[key].append)
         run: Job = demo_job()
-        assert (await client.wait(await client.submit(run))).state == "done"
+        assert (await client.wait_for_job(await client.submit(run))).state == "done"
         # One that ends badly is warned of.
-        assert (await client.wait(await client.submit(job("[{do: move, to: {gantry.x: 9999}}]")))).state != "done"
+        assert (
+            await client.wait_for_job(await client.submit(job("[{do: move, to: {gantry.x: 9999}}]")))
+        ).state != "done"
         for key, cell in rows:
             models = models_of(cell)
             if key in SILENT:
@@ -183,7 +185,7 @@ def test_a_request_that_comes_twice_is_done_once() -> None:
         answers = [await client.bus.request(key, json.dumps(first).encode(), 5.0) for _ in range(2)]
         assert answers[0] == answers[1]
         prune = {"request_id": "two", "actor": "reader", "older_s": 0.0, "keep": 0}
-        await client.wait(json.loads(answers[0])["job_id"])
+        await client.wait_for_job(json.loads(answers[0])["job_id"])
         prunes = [
             await client.bus.request(f"{client.keys.prefix}/svc/prune", json.dumps(prune).encode(), 5.0)
             for _ in range(2)

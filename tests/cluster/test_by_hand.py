@@ -6,12 +6,13 @@ from collections.abc import Callable
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
-from orchestrator.client.api import Refused, Tutti
-from orchestrator.client.manual import Hand
+from orchestrator.client.api import Tutti
+from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.messages import JogRequest, Reply
-from orchestrator.model.report import Lease
+from orchestrator.model.report import LeaseState
 from orchestrator.runtime.virtual import VirtualFleet
 
 # By axis: its controller, its motor, counts per unit, and the speed it is jogged at, unit/s.
@@ -31,7 +32,7 @@ class Jogged:
 
     @property
     def moving(self) -> bool:
-        return self.fleet.controllers[self.controller].moving(self.motor)
+        return self.fleet.controllers[self.controller].is_moving(self.motor)
 
     @property
     def position(self) -> float:
@@ -40,16 +41,16 @@ class Jogged:
     @property
     def end_ns(self) -> int:
         """When its last motion came to rest."""
-        ends = [m.end_ns for m in self.fleet.controllers[self.controller].motions if m.axis == self.motor]
+        ends = [m.end_ns for m in self.fleet.controllers[self.controller].commanded_motions if m.axis == self.motor]
         assert ends[-1] is not None
         return ends[-1]
 
-    async def hold(self, hand: Hand, seconds: float, velocity: float | None = None) -> None:
+    async def hold(self, hand: ManualControl, seconds: float, velocity: float | None = None) -> None:
         """Hold the key."""
         await hand.jog({self.axis: self.speed if velocity is None else velocity})
         for _ in range(round(seconds / 0.05)):
             await asyncio.sleep(0.05)
-            await hand.renew()
+            await hand.renew_jog()
 
     async def rest(self) -> None:
         """Wait until it rests."""
@@ -62,7 +63,7 @@ def test_an_axis_moves_while_the_key_is_held_and_stops_when_it_is_let_go(axis: s
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         jogged, client = Jogged(fleet, axis), fleet.client("anna")
-        async with client.by_hand([axis], what="alignment") as hand:
+        async with client.manual_control([axis], what="alignment") as hand:
             before = jogged.position
             await jogged.hold(hand, 1.0)
             assert jogged.position - before == pytest.approx(jogged.speed, rel=0.1)
@@ -90,16 +91,16 @@ def test_silence_stops_the_axis_in_its_adapter(axis: str, seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         jogged, client = Jogged(fleet, axis), fleet.client()
-        async with client.by_hand([axis]) as hand:
+        async with client.manual_control([axis]) as hand:
             await jogged.hold(hand, 0.6 + 0.07 * seed)
             silent_ns = fleet.clock.now_ns()
             await asyncio.sleep(0.15)
             assert jogged.moving
             await jogged.rest()
             assert VALID_NS - 20 * NS_PER_MS < jogged.end_ns - silent_ns < RESTS_NS
-            with pytest.raises(Refused, match="nobody has renewed it") as caught:
-                await hand.renew()
-            assert caught.value.refusal.code == "not-jogging"
+            with pytest.raises(Refusal, match="not renewed in time") as caught:
+                await hand.renew_jog()
+            assert caught.value.code == "not-jogging"
 
     run_fleet(main, seed=seed)
 
@@ -108,10 +109,10 @@ def test_an_axis_that_does_not_know_where_it_is_may_only_creep() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
         jogged, client = Jogged(fleet, "gantry.x"), fleet.client()
-        async with client.by_hand(["gantry.x"]) as hand:
-            with pytest.raises(Refused, match=r"may jog at 4 mm/s at most while it is not referenced") as caught:
+        async with client.manual_control(["gantry.x"]) as hand:
+            with pytest.raises(Refusal, match=r"may jog at 4 mm/s at most while it is not referenced") as caught:
                 await hand.jog({"gantry.x": 4.1})
-            assert caught.value.refusal.code == "too-fast"
+            assert caught.value.code == "too-fast"
             assert not jogged.moving
             before = jogged.position
             # Soft limits mean nothing yet: the axis may be moved beyond where they would be.
@@ -135,15 +136,15 @@ def test_a_jog_ends_at_the_soft_limit_and_leads_back_from_it(axis: str) -> None:
         await outcome(fleet, PREPARE)
         jogged, client = Jogged(fleet, axis), fleet.client()
         end = 12.345 if axis == "gantry.x" else 0.7
-        async with client.by_hand([axis]) as hand:
-            with pytest.raises(Refused, match="soft limit") as caught:
+        async with client.manual_control([axis]) as hand:
+            with pytest.raises(Refusal, match="soft limit") as caught:
                 await jogged.hold(hand, 3.0)
-            assert caught.value.refusal.code == "not-jogging"
+            assert caught.value.code == "not-jogging"
             assert jogged.position == pytest.approx(end, abs=1e-9)
-            with pytest.raises(Refused, match="is at its soft limit") as caught:
+            with pytest.raises(Refusal, match="is at its soft limit") as caught:
                 await hand.jog({axis: jogged.speed})
-            assert caught.value.refusal.code == "soft-limit"
-            assert caught.value.refusal.remedy == "jog the other way"
+            assert caught.value.code == "soft-limit"
+            assert caught.value.remedy == "jog in the other direction"
             await jogged.hold(hand, 0.3, -jogged.speed)
             assert jogged.position < end
 
@@ -155,11 +156,11 @@ def test_limits_that_were_tightened_below_the_axis_let_it_only_back() -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 3}}]"))
         tight = changed(demo_fleet(), gantry={"axes": {"x": {"soft_limits": {"min": -20, "max": -5}}}})
-        await client.reload(tight)
+        await client.reload_fleet(tight)
         assert (await outcome(fleet, PREPARE)).state == "done"  # homed to 0, beyond the limit at -5
         jogged = Jogged(fleet, "gantry.x")
-        async with client.by_hand(["gantry.x"]) as hand:
-            with pytest.raises(Refused, match="soft limit"):
+        async with client.manual_control(["gantry.x"]) as hand:
+            with pytest.raises(Refusal, match="soft limit"):
                 await hand.jog({"gantry.x": 5})
             assert not jogged.moving
             await jogged.hold(hand, 0.5, -5)
@@ -176,8 +177,8 @@ def test_an_axis_moved_by_hand_while_it_is_off_is_found_where_it_is() -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 5, stage.u: 1}}]"))
         await outcome(fleet, job("[{do: disable, axes: [gantry, stage]}]"))
-        fleet.within("gantry", lambda gantry: gantry.push("X", 2500))
-        fleet.within("stage", lambda stage: stage.push("1", 300))
+        fleet.within("gantry", lambda gantry: gantry.push_axis("X", 2500))
+        fleet.within("stage", lambda stage: stage.push_axis("1", 300))
         states = await fleet.until(lambda states: states["gantry"].axes["x"].raw_counts == 7500)
         # The gantry's encoder has seen it; a stepper without one can not, and does not pretend to.
         assert states["gantry"].axes["x"].referenced
@@ -200,53 +201,53 @@ def test_two_hands_on_one_axis_and_a_job_beside_a_hand() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         anna, ben = fleet.client("anna"), fleet.client("ben")
-        async with anna.by_hand(["gantry.x"], what="jog panel") as hand:
-            with pytest.raises(Refused, match=r"gantry\.x is in use by anna \(jog panel\)") as caught:
-                await ben.by_hand(["gantry.x"]).take()
-            assert caught.value.refusal.code == "leased"
+        async with anna.manual_control(["gantry.x"], what="jog panel") as hand:
+            with pytest.raises(Refusal, match=r"gantry\.x is in use by anna \(jog panel\)") as caught:
+                await ben.manual_control(["gantry.x"]).acquire()
+            assert caught.value.code == "leased"
             # The gantry's axes can not be told apart: y is held too. The stage is free.
             assert hand.axes == ["gantry.x", "gantry.y"]
-            async with ben.by_hand(["stage.u"]) as other:
+            async with ben.manual_control(["stage.u"]) as other:
                 await other.jog({"stage.u": 0.5})
                 # Who comes later asks who holds what.
                 leases = (await ben.bus.request_all(ben.keys.leases, b"", timeout_s=1.0)).values()
-                found = {each.controller: each.actor for each in map(Lease.model_validate_json, leases)}
+                found = {each.controller: each.actor for each in map(LeaseState.model_validate_json, leases)}
                 assert found == {"gantry": "anna", "stage": "ben"}
             waiting = await ben.submit(job("[{do: move, to: {gantry.y: 5}}]"))
             await asyncio.sleep(0.1)
-            shown = (await ben.show(waiting)).entry
+            shown = (await ben.show_job(waiting)).entry
             assert shown is not None
             assert (shown.state, shown.reason) == ("queued", "waits for gantry: in use by anna (jog panel)")
             # What goes past the service is refused by the adapter itself.
-            with pytest.raises(Refused, match="is held by anna"):
-                await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 1)
-        assert (await ben.wait(waiting)).state == "done"
+            with pytest.raises(Refusal, match="is leased to anna"):
+                await jog_anyhow(ben, "gantry", {"x": 5.0}, "manual-ben", 1)
+        assert (await ben.wait_for_job(waiting)).state == "done"
         moving = await anna.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
         await fleet.until(lambda states: states["gantry"].mode == "moving")
-        with pytest.raises(Refused, match=r"gantry\.x is in use by anna \(job 'test'\)"):
-            await ben.by_hand(["gantry.x"]).take()
-        with pytest.raises(Refused, match="is held by anna"):
-            await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 1)
-        assert (await anna.wait(moving)).state == "done"
-        with pytest.raises(Refused, match="axis x is not held by hand-ben"):
-            await jog_anyhow(ben, "gantry", {"x": 5.0}, "hand-ben", 2)
+        with pytest.raises(Refusal, match=r"gantry\.x is in use by anna \(job 'test'\)"):
+            await ben.manual_control(["gantry.x"]).acquire()
+        with pytest.raises(Refusal, match="is leased to anna"):
+            await jog_anyhow(ben, "gantry", {"x": 5.0}, "manual-ben", 1)
+        assert (await anna.wait_for_job(moving)).state == "done"
+        with pytest.raises(Refusal, match="axis x is not leased to manual-ben"):
+            await jog_anyhow(ben, "gantry", {"x": 5.0}, "manual-ben", 2)
 
     run_fleet(main)
 
 
 async def jog_anyhow(client: Tutti, controller: str, velocities: dict[str, float], holder: str, seq: int) -> None:
-    request = JogRequest(**client.fields(), holder=holder, seq=seq, velocities=velocities)
-    await client.command(controller, "jog", request, Reply)
+    request = JogRequest(**client.request_fields(), holder=holder, seq=seq, velocities=velocities)
+    await client.request_controller(controller, "jog", request, Reply)
 
 
 def test_a_request_that_was_overtaken_moves_nothing() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client, jogged = fleet.client(), Jogged(fleet, "gantry.x")
-        async with client.by_hand(["gantry.x"]) as hand:
+        async with client.manual_control(["gantry.x"]) as hand:
             await jog_anyhow(client, "gantry", {"x": 5.0}, hand.holder, 7)
             await jog_anyhow(client, "gantry", {"x": 0.0}, hand.holder, 9)
-            with pytest.raises(Refused, match="request 8 came after request 9"):
+            with pytest.raises(Refusal, match="request 8 came after request 9"):
                 await jog_anyhow(client, "gantry", {"x": 5.0}, hand.holder, 8)
             await jogged.rest()
             await asyncio.sleep(0.3)
@@ -259,8 +260,8 @@ def test_a_hand_that_vanishes_is_forgotten() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client, jogged = fleet.client("anna"), Jogged(fleet, "gantry.x")
-        hand = client.by_hand(["gantry.x"])
-        await hand.take()
+        hand = client.manual_control(["gantry.x"])
+        await hand.acquire()
         await jogged.hold(hand, 0.3)
         fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
         killed_ns = fleet.clock.now_ns()
@@ -268,7 +269,7 @@ def test_a_hand_that_vanishes_is_forgotten() -> None:
         assert jogged.end_ns - killed_ns < RESTS_NS
         await fleet.until(lambda states: not states["gantry"].leases, limit_s=10)
         assert fleet.clock.now_ns() - killed_ns < 6 * NS_PER_S
-        async with fleet.client("ben").by_hand(["gantry.x"]) as other:
+        async with fleet.client("ben").manual_control(["gantry.x"]) as other:
             await other.jog({"gantry.x": 5.0})
 
     run_fleet(main)
@@ -336,18 +337,18 @@ def test_what_ends_a_jog_although_the_key_is_held(
         await fleet.until(lambda states: not states["gantry"].inputs["door"])
         assert (await outcome(fleet, PREPARE)).state == "done"
         jogged, client = Jogged(fleet, "gantry.x"), fleet.client("anna")
-        hand = client.by_hand(["gantry.x"])
-        await hand.take()
+        hand = client.manual_control(["gantry.x"])
+        await hand.acquire()
         await jogged.hold(hand, 0.5)
         began_ns = fleet.clock.now_ns()
         await act(fleet)  # type: ignore[misc]
         refusal = None
         while fleet.clock.now_ns() < began_ns + 2 * NS_PER_S:
             try:
-                await hand.renew()
-            except Refused as error:
-                refusal = error.refusal
-                if error.refusal.code in codes:
+                await hand.renew_jog()
+            except Refusal as error:
+                refusal = error
+                if error.code in codes:
                     break
             await asyncio.sleep(0.05)
         assert refusal is not None
@@ -357,7 +358,7 @@ def test_what_ends_a_jog_although_the_key_is_held(
         before = jogged.position
         await asyncio.sleep(0.5)
         assert jogged.position == before
-        await hand.give_back()
+        await hand.release()
 
     run_fleet(main, guarded)
 
@@ -366,7 +367,7 @@ def test_a_controller_that_loses_power_in_a_jog() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         jogged, client = Jogged(fleet, "stage.u"), fleet.client()
-        async with client.by_hand(["stage.u"]) as hand:
+        async with client.manual_control(["stage.u"]) as hand:
             await jogged.hold(hand, 0.5)
             fleet.within("stage", lambda stage: stage.set_power(False))
             await asyncio.sleep(0.3)
@@ -378,8 +379,8 @@ def test_a_controller_that_loses_power_in_a_jog() -> None:
                     and not any(axis.referenced for axis in states["stage"].axes.values())
                 )
             )
-            with pytest.raises(Refused):
-                await hand.renew()
+            with pytest.raises(Refusal):
+                await hand.renew_jog()
 
     run_fleet(main)
 
@@ -388,14 +389,14 @@ def test_a_raw_line_needs_a_flag_and_the_axes_in_hand() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.client("anna")
-        assert (await client.raw("gantry", "MG 6*7", i_know=True)).strip() == "0000000042.0000"
-        with pytest.raises(Refused, match="checked against no limit"):
-            await client.raw("gantry", "MG 6*7", i_know=False)
+        assert (await client.send_raw("gantry", "MG 6*7", i_know=True)).strip() == "0000000042.0000"
+        with pytest.raises(Refusal, match="not checked against any limit"):
+            await client.send_raw("gantry", "MG 6*7", i_know=False)
         moving = await client.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
         await fleet.until(lambda states: states["gantry"].mode == "moving")
-        with pytest.raises(Refused, match=r"in use by anna \(job 'test'\)"):
-            await client.raw("gantry", "STX", i_know=True)
-        assert (await client.wait(moving)).state == "done"
+        with pytest.raises(Refusal, match=r"in use by anna \(job 'test'\)"):
+            await client.send_raw("gantry", "STX", i_know=True)
+        assert (await client.wait_for_job(moving)).state == "done"
         assert any("raw by anna: 'MG 6*7'" in line for line in fleet.lines)
 
     run_fleet(main)

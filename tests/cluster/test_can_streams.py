@@ -9,7 +9,7 @@ from orchestrator.bench.sync_fleets import smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
-from sim.cia402.unit import DriveUnit
+from sim.cia402.unit import SimulatedDrive
 
 LIMITS = {"velocity": 100, "acceleration": 500, "jerk": 10_000}
 DRIVES = {"c0": ("can0", 1), "c1": ("can0", 2), "c2": ("can1", 1)}
@@ -23,7 +23,7 @@ def fleet() -> Fleet:
     for number, (name, (channel, unit)) in enumerate(DRIVES.items()):
         controllers[name] = {
             "adapter": "cia402",
-            "link": {"kind": "can", "interface": "socketcan", "channel": channel, "unit": unit},
+            "link": {"kind": "can", "interface": "socketcan", "channel": channel, "address": unit},
             "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
             "axes": {"x": {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": LIMITS}},
             "simulate": {"drift_ppm": 40 - 40 * number, "options": {"objects": {"6065": 500, "6066": 0}}},
@@ -45,12 +45,12 @@ def test_streams_and_contours_start_and_end_together_with_evidence_that_holds_th
         assert (await outcome(virtual, PREPARE)).state == "done"
         await sleep_ns(virtual.clock, 8 * NS_PER_S)
         for each in (OUT, BACK):
-            before = {name: len(unit.motions) for name, unit in virtual.controllers.items()}
+            before = {name: len(unit.commanded_motions) for name, unit in virtual.controllers.items()}
             report = await outcome(virtual, each)
             assert report.state == "done", report.reason
             step = report.steps[0]
             assert step.start_skew is not None
-            made = {name: unit.motions[before[name]] for name, unit in virtual.controllers.items()}
+            made = {name: unit.commanded_motions[before[name]] for name, unit in virtual.controllers.items()}
             origin_ns = origin_host_ns(virtual)
             starts = [motion.start_ns for motion in made.values()]
             ends = [motion.end_ns or 0 for motion in made.values()]
@@ -81,7 +81,7 @@ def test_what_breaks_a_stream_ends_the_step_of_all(trouble: str, words: str) -> 
     async def main(virtual: VirtualFleet) -> None:
         assert (await outcome(virtual, PREPARE)).state == "done"
         drive, wire = virtual.controllers["c0"], virtual.wires["c0"]
-        assert isinstance(drive, DriveUnit)
+        assert isinstance(drive, SimulatedDrive)
         bus: Any = drive.segment.bus
 
         def break_it() -> None:
@@ -101,12 +101,12 @@ def test_what_breaks_a_stream_ends_the_step_of_all(trouble: str, words: str) -> 
         job_id = await client.submit(OUT)
         await virtual.until(lambda states: abs(states["c0"].axes["x"].position) > 40)
         virtual.within("c0", lambda _: break_it())
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "failed"
         assert words in report.reason, report.reason
         await sleep_ns(virtual.clock, NS_PER_S)
         for name, unit in virtual.controllers.items():
-            assert not unit.moving(motor(name))
+            assert not unit.is_moving(motor(name))
             assert 0 < abs(unit.position(motor(name))) < 200_000
 
     run_fleet(main, fleet())

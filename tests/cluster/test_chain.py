@@ -43,16 +43,16 @@ def test_a_chain_and_another_make_move_together_with_a_verdict_that_holds_the_tr
     async def main(virtual: VirtualFleet) -> None:
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         report = await outcome(virtual, MOVE)
         assert report.state == "done", report.reason
         step = report.steps[0]
-        starts = [each.motions[before[name]].start_ns for name, each in virtual.controllers.items()]
+        starts = [each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items()]
         skew_ns = max(starts) - min(starts)
         assert step.start_skew is not None
         assert step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
         for name, motors in {"feeder": "X", "turner": "XY", "outlet": "X", "gantry": "X"}.items():
-            moved = {motion.axis for motion in virtual.controllers[name].motions[before[name] :]}
+            moved = {motion.axis for motion in virtual.controllers[name].commanded_motions[before[name] :]}
             assert moved == set(motors)
 
     run_fleet(main, held(hold_ms))
@@ -63,23 +63,23 @@ def test_one_unit_is_stopped_alone():
         await outcome(virtual, PREPARE)
         client = virtual.client()
         units = virtual.controllers
-        async with client.by_hand(["feeder.x"]) as one, client.by_hand(["turner.x"]) as other:
+        async with client.manual_control(["feeder.x"]) as one, client.manual_control(["turner.x"]) as other:
             await one.jog({"feeder.x": 20.0})
-            await asyncio.gather(other.jog({"turner.x": 20.0}), one.renew())
+            await asyncio.gather(other.jog({"turner.x": 20.0}), one.renew_jog())
             for _ in range(20):
                 await asyncio.sleep(0.05)
-                await one.renew()
-                await other.renew()
+                await one.renew_jog()
+                await other.renew_jog()
             for name in ("feeder", "turner"):
                 assert units[name].velocity("X") == pytest.approx(20_000, rel=0.01)
             let_go_ns = virtual.clock.now_ns()
             await one.stop()
             for _ in range(20):
                 await asyncio.sleep(0.05)
-                await other.renew()
-            assert not units["feeder"].moving("X")
+                await other.renew_jog()
+            assert not units["feeder"].is_moving("X")
             assert units["turner"].velocity("X") == pytest.approx(20_000, rel=0.01)
-            end_ns = units["feeder"].motions[-1].end_ns
+            end_ns = units["feeder"].commanded_motions[-1].end_ns
             assert end_ns is not None and end_ns - let_go_ns < 150 * NS_PER_MS
         assert all(not each.faults for each in (await client.status()).values())
 
@@ -91,17 +91,17 @@ def test_a_host_that_dies_in_motion_leaves_the_whole_chain_at_rest_in_the_declar
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
         client = virtual.client()
-        longest_ns = max([(await client.info(name)).costs.stop_ns for name in UNITS])
+        longest_ns = max([(await client.controller_info(name)).costs.stop_ns for name in UNITS])
         await client.submit(MOVE)
-        while not all(virtual.controllers[name].moving("X") for name in UNITS):
+        while not all(virtual.controllers[name].is_moving("X") for name in UNITS):
             await sleep_ns(virtual.clock, 10 * NS_PER_MS)
         await sleep_ns(virtual.clock, NS_PER_S // 2)
-        assert all(virtual.controllers[name].moving("X") for name in UNITS)
+        assert all(virtual.controllers[name].is_moving("X") for name in UNITS)
         at_ns = virtual.clock.now_ns()
         getattr(virtual, fault)("host/local")
         await sleep_ns(virtual.clock, 5 * NS_PER_S)
         for name in UNITS:
-            ends = [motion.end_ns for motion in virtual.controllers[name].motions]
+            ends = [motion.end_ns for motion in virtual.controllers[name].commanded_motions]
             assert None not in ends
             # Its guardian's patience, and looking every 50 ms.
             assert max(end for end in ends if end is not None) - at_ns < longest_ns + 400 * NS_PER_MS

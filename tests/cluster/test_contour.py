@@ -49,7 +49,7 @@ def test_a_jerk_limited_job_on_two_controllers_is_green_and_its_evidence_holds_t
         origin_ns = origin_host_ns(fleet)
         homed = 2
         for name, controller in fleet.controllers.items():
-            made = iter(controller.motions[homed:])
+            made = iter(controller.commanded_motions[homed:])
             for step in report.steps:
                 member = step.members.get(name)
                 if member is None:
@@ -93,7 +93,7 @@ def test_a_stop_in_a_contour_stops_both_controllers_and_the_next_step_goes() -> 
         await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
         await sleep_ns(fleet.clock, 700 * NS_PER_MS)
         await client.stop()
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state != "done"
         await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
         assert all(0 < fleet.controllers[name].position("X") < 390_000 for name in ("gantry", "portal"))
@@ -116,12 +116,14 @@ def test_a_chain_and_another_make_start_a_jerk_limited_step_together() -> None:
     async def main(fleet: VirtualFleet) -> None:
         prepared = await outcome(fleet, prepare)
         assert prepared.state == "done", prepared.reason
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         report = await outcome(fleet, move)
         assert report.state == "done", report.reason
         step = report.steps[0]
         assert step.verdict == "green"
-        moved = {name: fleet.controllers[name].motions[before[name]] for name in ("gantry", "feeder", "outlet")}
+        moved = {
+            name: fleet.controllers[name].commanded_motions[before[name]] for name in ("gantry", "feeder", "outlet")
+        }
         starts = [each.start_ns for each in moved.values()]
         ends = [each.end_ns for each in moved.values() if each.end_ns is not None]
         assert step.start_skew is not None and step.end_skew is not None

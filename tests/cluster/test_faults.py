@@ -23,12 +23,13 @@ from cluster.worlds import (
     run_fleet,
 )
 
-from adapters.contract import CannotDo, DriverFault, Reading
-from adapters.controller.participant import Member
-from adapters.smc30.driver import SmcDriver
+from adapters.contract import ControllerReading
+from adapters.controller.participant import StepParticipant
+from adapters.smc30.driver import Smc30Driver
 from orchestrator.bench import sync_fleets
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobState
@@ -51,7 +52,7 @@ def pair(make: str) -> Fleet:
             drafts[name] = sync_fleets.smc30(0, unit)
         else:
             axis = {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
-            link = {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": unit}
+            link = {"kind": "can", "interface": "socketcan", "channel": "can0", "address": unit}
             drafts[name] = {"adapter": make, "link": link, "axes": {"x": {**axis, "homing": {"method": "37"}}}}
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "pair", "controllers": drafts})
 
@@ -68,7 +69,7 @@ async def running(fleet: VirtualFleet, job_id: str) -> None:
 
 
 async def reached(fleet: VirtualFleet, job_id: str, state: JobState) -> None:
-    while (row := fleet.journal.row(job_id)) is not None and row.state != state:
+    while (row := fleet.journal.load_record(job_id)) is not None and row.state != state:
         await asyncio.sleep(0.0001)
 
 
@@ -82,7 +83,7 @@ def now_s(fleet: VirtualFleet) -> float:
 
 def gantry_end_s(fleet: VirtualFleet) -> float:
     """When the gantry has come to rest last."""
-    end_ns = fleet.controllers["gantry"].motions[-1].end_ns
+    end_ns = fleet.controllers["gantry"].commanded_motions[-1].end_ns
     assert end_ns is not None
     return end_ns / NS_PER_S
 
@@ -92,10 +93,10 @@ def test_a_host_that_can_not_be_reached_does_not_end_the_leases_on_others() -> N
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
         job_id = await client.submit(GANTRY)
-        async with client.by_hand(["stage.u"], ttl_s=30.0):
+        async with client.manual_control(["stage.u"], ttl_s=30.0):
             await asyncio.sleep(1.5)
             fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
-            report = await client.wait(job_id)
+            report = await client.wait_for_job(job_id)
             assert report.state == "done", report.reason
             fleet.net.heal()
 
@@ -116,7 +117,7 @@ def test_others_stop_when_an_adapter_dies_and_is_back_before_anybody_misses_it()
     async def main(fleet: VirtualFleet) -> None:
         client, job_id = await host_killed_in_a_move(fleet)
         killed_s = now_s(fleet)
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "failed" and "stage: its adapter" in report.reason
         await asyncio.sleep(1.0)
         assert gantry_end_s(fleet) < killed_s + 1.0 + RAMP_S
@@ -139,9 +140,9 @@ def test_a_job_waits_for_the_ramp_of_the_one_before_which_holds_its_axes_until_t
             for link in list(fleet.wires["gantry"].links):
                 link.hang_up()
         else:
-            await client.cancel(first)
-        assert (await client.wait(first)).state == ("failed" if closed else "cancelled")
-        report = await client.wait(second)
+            await client.cancel_job(first)
+        assert (await client.wait_for_job(first)).state == ("failed" if closed else "cancelled")
+        report = await client.wait_for_job(second)
         assert report.state == "done", report.reason
         assert rested(fleet, "gantry", leased_ns[second])
 
@@ -154,18 +155,18 @@ def test_a_controller_that_hung_at_its_start_is_stopped_when_it_is_back() -> Non
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
-        before = len(fleet.controllers["gantry"].motions)
+        before = len(fleet.controllers["gantry"].commanded_motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
         await asyncio.sleep(0.1)  # by then its program waits for nothing but its sample
         fleet.freeze("sim/gantry")
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "failed" and "gantry" in report.reason
         await asyncio.sleep(1.5)
         assert (await client.status())["gantry"].mode == "offline"
         fleet.resume("sim/gantry")
         await fleet.until(lambda states: states["gantry"].mode == "idle")
-        made = fleet.controllers["gantry"].motions[before:]
+        made = fleet.controllers["gantry"].commanded_motions[before:]
         assert made and made[-1].end_ns is not None and fleet.controllers["gantry"].at_rest()
 
     run_fleet(main)
@@ -194,9 +195,9 @@ def test_a_stop_that_a_broken_line_has_swallowed_is_told_again(after_s: float) -
         wire.to_far = lambda data: b"" if data.startswith((b"ST", b"HX")) else data
         await client.stop()
         wire.to_far = None
-        assert (await client.wait(job_id)).state == "aborted"
+        assert (await client.wait_for_job(job_id)).state == "aborted"
         await asyncio.sleep(4.0)  # of ten
-        assert fleet.controllers["gantry"].motions[-1].end_ns is not None
+        assert fleet.controllers["gantry"].commanded_motions[-1].end_ns is not None
 
     run_fleet(main)
 
@@ -208,15 +209,15 @@ def test_who_was_told_to_go_is_stopped_as_it_begins_when_its_link_is_closed() ->
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.client()
-        before = len(fleet.controllers["gantry"].motions)
+        before = len(fleet.controllers["gantry"].commanded_motions)
         job_id = await client.submit(GANTRY)
         await running(fleet, job_id)
         await asyncio.sleep(0.02)  # of some ninety milliseconds
         for link in list(fleet.wires["gantry"].links):
             link.hang_up()
-        assert (await client.wait(job_id)).state == "failed"
+        assert (await client.wait_for_job(job_id)).state == "failed"
         await fleet.until(lambda states: states["gantry"].mode == "idle")
-        begun = fleet.controllers["gantry"].motions[before:]
+        begun = fleet.controllers["gantry"].commanded_motions[before:]
         assert all(each.slowing_ns is not None and each.slowing_ns - each.start_ns < 20 * NS_PER_MS for each in begun)
 
     run_fleet(main)
@@ -233,7 +234,7 @@ def test_who_is_about_to_move_is_not_reset(state: JobState) -> None:
         await reached(fleet, job_id, state)
         refused = (await client.reset())["gantry"]
         assert refused is not None and refused.code == "busy" and f"for job {job_id}" in refused.text
-        assert (await client.wait(job_id)).state == "done"
+        assert (await client.wait_for_job(job_id)).state == "done"
         assert not any((await client.reset()).values())
 
     run_fleet(main)
@@ -241,16 +242,16 @@ def test_who_is_about_to_move_is_not_reset(state: JobState) -> None:
 
 def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for a wired line by then, and its port was kept open by the other unit."""
-    poll = SmcDriver.poll
+    poll = Smc30Driver.poll
     broken: list[int] = []
 
-    async def polled(driver: SmcDriver) -> Reading:
-        if driver._address in broken and driver._connected().loading.locked():
+    async def polled(driver: Smc30Driver) -> ControllerReading:
+        if driver._address in broken and driver.connection.state.loading.locked():
             broken.clear()
-            raise DriverFault("two-answers", "more answers than questions", "")
+            raise ControllerFault("two-answers", "more answers than questions", "")
         return await poll(driver)
 
-    monkeypatch.setattr(SmcDriver, "poll", polled)
+    monkeypatch.setattr(Smc30Driver, "poll", polled)
     units = {name: {**sync_fleets.smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()}
     lined = sync_fleets.wired({"a1": sync_fleets.smc4000(0), **units})
 
@@ -260,7 +261,7 @@ def test_a_unit_that_was_being_loaded_when_its_link_was_given_up_is_stopped(monk
         job_id = await client.submit(job("[{do: move, to: {d1.x: 30, d2.x: 30}, start: line, speed: 0.2}]"))
         await reached(fleet, job_id, "arming")
         broken.append(2)
-        assert (await client.wait(job_id)).state == "failed"
+        assert (await client.wait_for_job(job_id)).state == "failed"
         await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()), limit_s=3.0)
         assert not broken and all(unit.at_rest() for unit in fleet.controllers.values())
 
@@ -274,12 +275,12 @@ def test_drives_that_missed_their_sync_do_not_begin_when_they_are_met_again() ->
         job_id = await client.submit(job("[{do: move, to: {f1.x: 60, f2.x: 60}, speed: 0.2}]"))
         await running(fleet, job_id)
         fleet.wires["f1"].cut = True
-        assert (await client.wait(job_id)).state == "failed"
+        assert (await client.wait_for_job(job_id)).state == "failed"
         await asyncio.sleep(1.0)
         fleet.wires["f1"].cut = False
         await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
         await asyncio.sleep(1.0)
-        assert [unit.motions for unit in fleet.controllers.values()] == [[], []]
+        assert [unit.commanded_motions for unit in fleet.controllers.values()] == [[], []]
 
     run_fleet(main, pair("cia402"))
 
@@ -292,16 +293,16 @@ def test_a_unit_on_its_limit_claims_no_start_and_the_other_one_stops(make: str) 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
         client = fleet.client()
-        before = {name: len(unit.motions) for name, unit in fleet.controllers.items()}
+        before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         job_id = await client.submit(move)
         await running(fleet, job_id)
         fleet.within(stuck, lambda unit: unit.set_limit("1", "both"))
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "failed" and stuck in report.reason
         assert not report.steps[0].members[stuck].evidence
         await asyncio.sleep(2.0)
-        assert len(fleet.controllers[stuck].motions) == before[stuck]
-        (made,) = fleet.controllers[other].motions[before[other] :]
+        assert len(fleet.controllers[stuck].commanded_motions) == before[stuck]
+        (made,) = fleet.controllers[other].commanded_motions[before[other] :]
         assert made.end_ns is not None and made.end_ns - made.start_ns < 2 * NS_PER_S
 
     run_fleet(main, pair(make))
@@ -313,36 +314,36 @@ def test_nobody_begins_when_one_member_does_not_hear_go() -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
-        before = {name: len(unit.motions) for name, unit in fleet.controllers.items()}
+        before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         job_id = await client.submit(MOVE)
         await reached(fleet, job_id, "committed")
         fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "failed" and "stage has not answered go" in report.reason
         fleet.net.heal()
         await asyncio.sleep(1.0)
-        assert {name: len(unit.motions) for name, unit in fleet.controllers.items()} == before
+        assert {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()} == before
 
     run_fleet(main, two_hosts())
 
 
 def test_a_member_that_does_not_answer_holds_up_no_stop_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     async def begun(*_: object) -> Reply:
-        raise CannotDo("moving", "the step moves already")
+        raise Refusal("moving", "the step moves already")
 
-    monkeypatch.setattr(Member, "disarm", begun)
+    monkeypatch.setattr(StepParticipant, "disarm_step", begun)
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
         job_id = await client.submit(MOVE)
         await reached(fleet, job_id, "committed")
-        before = len(fleet.controllers["gantry"].motions)
+        before = len(fleet.controllers["gantry"].commanded_motions)
         fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
         refused_s = now_s(fleet)
-        assert (await client.wait(job_id)).state == "failed"
+        assert (await client.wait_for_job(job_id)).state == "failed"
         fleet.net.heal()
-        for motion in fleet.controllers["gantry"].motions[before:]:
+        for motion in fleet.controllers["gantry"].commanded_motions[before:]:
             assert motion.end_ns is not None and motion.end_ns / NS_PER_S < refused_s + 0.5 + RAMP_S
 
     run_fleet(main, two_hosts())
@@ -365,12 +366,12 @@ def test_what_stops_by_gentle_ramps_is_waited_for_as_long() -> None:
         then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
         await fleet.until(lambda states: states["steps"].mode == "moving")
         await sleep_ns(fleet.clock, 2 * NS_PER_S)
-        await client.cancel(first)
-        assert (await client.wait(then)).state == "done"
-        stopped, moved = fleet.controllers["steps"].motions[-2:]
+        await client.cancel_job(first)
+        assert (await client.wait_for_job(then)).state == "done"
+        stopped, moved = fleet.controllers["steps"].commanded_motions[-2:]
         assert stopped.slowing_ns is not None and stopped.end_ns is not None
         assert stopped.end_ns - stopped.slowing_ns > NS_PER_S and stopped.end_ns < moved.start_ns
-        assert not any("moves although it was told to stop" in line for line in fleet.lines)
+        assert not any("moves although it was stopped" in line for line in fleet.lines)
         begun = [json.loads(line) for line in fleet.lines if then in line and "job is running" in line]
         origin_ns = origin_host_ns(fleet)
         assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
@@ -396,11 +397,11 @@ def test_who_can_not_be_asked_whether_it_rests_is_waited_for_as_long_as_it_may_b
         await fleet.until(lambda states: states["steps"].mode == "moving")
         await sleep_ns(fleet.clock, 8 * NS_PER_S)
         fleet.kill("host/local")
-        assert (await client.wait(first)).state == "failed"
+        assert (await client.wait_for_job(first)).state == "failed"
         await sleep_ns(fleet.clock, 3 * NS_PER_S // 2)
         then = await client.submit(job("[{do: move, to: {steps.x: 1}}]", max_start_skew="50 ms"))
-        await client.wait(then)
-        stopped = fleet.controllers["steps"].motions[-1]
+        await client.wait_for_job(then)
+        stopped = fleet.controllers["steps"].commanded_motions[-1]
         assert stopped.slowing_ns is not None and stopped.end_ns is not None
         assert stopped.end_ns - stopped.slowing_ns > 4 * NS_PER_S
         assert rested(fleet, "steps", leased_ns[then])
@@ -419,7 +420,7 @@ def test_a_stop_that_was_lost_with_the_bus_is_asked_for_again() -> None:
         assert not fleet.controllers["gantry"].at_rest()
         fleet.net.heal()
         back_s = now_s(fleet)
-        assert (await client.wait(job_id)).state == "failed"
+        assert (await client.wait_for_job(job_id)).state == "failed"
         await asyncio.sleep(1.0)
         assert gantry_end_s(fleet) < back_s + 0.4 + RAMP_S
 
@@ -431,16 +432,16 @@ def test_an_event_that_was_lost_with_the_bus_and_is_followed_by_none_is_asked_fo
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
         client = fleet.client()
-        before = len(fleet.controllers["stage"].motions)
+        before = len(fleet.controllers["stage"].commanded_motions)
         job_id = await client.submit(STAGE)
-        while len(motions := fleet.controllers["stage"].motions) == before:
+        while len(motions := fleet.controllers["stage"].commanded_motions) == before:
             await asyncio.sleep(0.0001)
         while lost == "done" and motions[-1].end_ns is None:
             await asyncio.sleep(0.0001)
         fleet.net.partition({fleet.process("host/right").name}, {fleet.process("coordinator/first").name})
         await asyncio.sleep(0.2)
         fleet.net.heal()
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
         evidence = report.steps[0].members["stage"].evidence["u"]
         took_ns = (motions[-1].end_ns or 0) - motions[-1].start_ns

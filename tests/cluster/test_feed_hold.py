@@ -20,7 +20,7 @@ async def held_inside(fleet: VirtualFleet, submitted: SubmittedJob, after_s: flo
         await sleep_ns(fleet.clock, 50 * NS_PER_MS)
     await sleep_ns(fleet.clock, round(after_s * NS_PER_S))
     await submitted.pause(now=True)
-    while (await submitted.show()).transitions[-1].state != "holding":
+    while (await submitted.show()).transitions[-1].state != "paused":
         await sleep_ns(fleet.clock, 50 * NS_PER_MS)
 
 
@@ -28,7 +28,7 @@ def rests_ns(fleet: VirtualFleet, before: dict[str, int]) -> list[int]:
     """When the first motion of every axis, since `before`, came to rest."""
     rests: dict[str, int] = {}
     for name, each in fleet.controllers.items():
-        for motion in each.motions[before[name] :]:
+        for motion in each.commanded_motions[before[name] :]:
             assert motion.end_ns is not None
             rests.setdefault(f"{name}.{motion.axis}", motion.end_ns)
     return list(rests.values())
@@ -39,7 +39,7 @@ def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s:
     async def main(fleet: VirtualFleet) -> StepReport:
         await outcome(fleet, PREPARE)
         client = fleet.client()
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         submitted = await client.submit(job(FAR))
         await held_inside(fleet, submitted, after_s)
         rests = rests_ns(fleet, before)
@@ -61,7 +61,7 @@ def test_axes_of_two_makes_brake_together_and_go_on_to_the_same_targets(after_s:
         return report.steps[0]
 
     step = run_fleet(main)
-    (held,) = step.holds
+    (held,) = step.feed_holds
     assert held.by == "client" and held.rest_skew is not None
     assert held.rest_skew.at_least_ns <= TOGETHER_NS
 
@@ -73,15 +73,15 @@ def test_a_relative_move_that_is_held_twice_goes_its_way_once() -> None:
         fractions: list[float] = []
         for _ in range(2):
             await held_inside(fleet, submitted, 1.5)
-            (entry,) = (await fleet.client().jobs(1)).jobs
-            assert entry.state == "holding" and "in step 0" in entry.reason
+            (entry,) = (await fleet.client().list_jobs(1)).jobs
+            assert entry.state == "paused" and "in step 0" in entry.reason
             fractions.append(fleet.controllers["gantry"].position("X") / 200_000)
             await submitted.resume()
         report = await submitted.result()
         assert report.state == "done", report.reason
         assert fleet.controllers["gantry"].position("X") == 200_000
         assert fleet.controllers["stage"].position("1") == 150_000
-        assert len(report.steps[0].holds) == 2 and 0 < fractions[0] < fractions[1] < 1
+        assert len(report.steps[0].feed_holds) == 2 and 0 < fractions[0] < fractions[1] < 1
 
     run_fleet(main)
 
@@ -90,7 +90,7 @@ def test_contours_of_two_controllers_brake_within_50_ms() -> None:
     async def main(fleet: VirtualFleet) -> None:
         names = list(fleet.fleet.controllers)
         await outcome(fleet, job(f"[{{do: enable, axes: [{', '.join(names)}]}}, {{do: home}}]"))
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         axes = list(fleet.fleet.axis_names)
         # Ways of very different lengths: each axis alone would brake in another time.
         to = ", ".join(f"{axis}: {300 / (k + 1) ** 2:g}" for k, axis in enumerate(axes))
@@ -116,16 +116,16 @@ def test_a_hold_before_the_motion_begins_lets_nothing_move(state: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.client()
-        before = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         submitted = await client.submit(job(FAR))
         async for event in submitted.events():
             if event.state == state:
                 await submitted.pause(now=True)
-            if event.state == "holding":
+            if event.state == "paused":
                 break
         await sleep_ns(fleet.clock, 3 * NS_PER_S)
         if state in ("planning", "arming"):
-            assert {name: len(each.motions) for name, each in fleet.controllers.items()} == before
+            assert {name: len(each.commanded_motions) for name, each in fleet.controllers.items()} == before
         assert all(each.mode == "idle" for each in (await client.status()).values())
         await submitted.resume()
         assert (await submitted.result()).state == "done"
@@ -166,7 +166,7 @@ def test_who_resumes_while_it_still_brakes_has_it_go_on_all_the_same() -> None:
         await submitted.resume()
         report = await submitted.result()
         assert report.state == "done", report.reason
-        assert [each.by for each in report.steps[0].holds] == ["client"]
+        assert [each.by for each in report.steps[0].feed_holds] == ["client"]
         assert fleet.controllers["gantry"].position("X") == 305_000
 
     run_fleet(main)

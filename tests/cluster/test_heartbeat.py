@@ -66,7 +66,7 @@ def test_who_is_told_to_go_is_polled_as_one_that_moves() -> None:
             assert (
                 await outcome(virtual, job(f"[{{do: move, to: {{a.x: {10 - 10 * (number % 2)}}}}}]"))
             ).state == "done"
-            begun_ns = virtual.controllers["a"].motions[-1].start_ns
+            begun_ns = virtual.controllers["a"].commanded_motions[-1].start_ns
             after_ns = min(each for each in polled_ns if each > told_ns[-1]) - begun_ns
             assert -5 * NS_PER_MS < after_ns < NS_PER_S // 10
         assert len(told_ns) == 3
@@ -87,9 +87,9 @@ def test_who_is_asked_for_a_step_is_not_polled_until_it_begins_and_at_once_after
         await sleep_ns(clock, NS_PER_S)
         assert len(states) > 40
         states.clear()
-        begun_ns = len(virtual.controllers["a"].motions)
+        begun_ns = len(virtual.controllers["a"].commanded_motions)
         moving = await virtual.client().submit(job("[{do: move, to: {a.x: 10}}]"))
-        while len(virtual.controllers["a"].motions) == begun_ns:
+        while len(virtual.controllers["a"].commanded_motions) == begun_ns:
             await sleep_ns(clock, NS_PER_MS)
         assert len(states) <= 2  # one that was under way; and what is told of the lease
         await moving.result()

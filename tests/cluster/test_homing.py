@@ -6,10 +6,10 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 
 from orchestrator.bench.sync_fleets import smc2000
-from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.report import Progress
+from orchestrator.model.report import JobProgress
 from orchestrator.runtime.virtual import VirtualFleet
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
@@ -18,11 +18,11 @@ NEVER = {"X": -1_000_000_000, "Y": -1500}  # a home switch that is nowhere
 
 
 def first_motion_ns(fleet: VirtualFleet, controller: str, motor: str) -> int:
-    return next(motion.start_ns for motion in fleet.controllers[controller].motions if motion.axis == motor)
+    return next(motion.start_ns for motion in fleet.controllers[controller].commanded_motions if motion.axis == motor)
 
 
 def last_end_ns(fleet: VirtualFleet, controller: str, motor: str) -> int:
-    ends = [motion.end_ns for motion in fleet.controllers[controller].motions if motion.axis == motor]
+    ends = [motion.end_ns for motion in fleet.controllers[controller].commanded_motions if motion.axis == motor]
     assert ends[-1] is not None
     return ends[-1]
 
@@ -31,12 +31,12 @@ def test_the_fleet_is_homed_in_its_order_and_says_how_far_it_is() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client, said = fleet.client(), list[str]()
 
-        def hear(progress: Progress) -> None:
+        def hear(progress: JobProgress) -> None:
             if progress.step_name.startswith("homing") and progress.step_name not in said:
                 said.append(progress.step_name)
 
         await outcome(fleet, ENABLE)
-        report = await client.wait(await client.submit(HOME), hear)
+        report = await client.wait_for_job(await client.submit(HOME), hear)
         assert report.state == "done", report.reason
         assert said == [
             "homing stage.focus",
@@ -72,8 +72,8 @@ def test_an_axis_that_fails_stops_those_that_come_after_it() -> None:
         assert states["stage"].axes["focus"].referenced
         assert not states["gantry"].axes["x"].referenced
         assert states["gantry"].axes["y"].referenced  # it was looked for side by side with x, and found
-        assert [m.axis for m in virtual.controllers["stage"].motions] == ["3"] * len(
-            virtual.controllers["stage"].motions
+        assert [m.axis for m in virtual.controllers["stage"].commanded_motions] == ["3"] * len(
+            virtual.controllers["stage"].commanded_motions
         )
 
     run_fleet(main, fleet)
@@ -103,19 +103,19 @@ def test_an_axis_after_another_is_homed_only_when_that_one_is_referenced() -> No
         only_x = job("[{do: home, axes: [gantry.x]}]")
         refused = await refusal(virtual, ENABLE, only_x)
         assert refused.code == "not-referenced"
-        assert "gantry.x is homed after stage.focus" in refused.text
+        assert "gantry.x must be homed after stage.focus" in refused.text
         assert "home stage.focus first" in refused.remedy
-        assert not virtual.controllers["gantry"].motions
+        assert not virtual.controllers["gantry"].commanded_motions
         assert (await outcome(virtual, job("[{do: home, axes: [stage.focus]}]"), only_x)).state == "done"
         contrary = job("[{do: home, axes: [gantry.x, stage.focus]}]")
-        with pytest.raises(Refused, match="stands behind it in the order asked for"):
+        with pytest.raises(Refusal, match="but comes before it in the given order"):
             await virtual.client().submit(contrary)
 
     run_fleet(main, fleet)
 
 
 def test_a_circle_of_axes_that_wait_for_each_other_is_refused_in_the_file() -> None:
-    with pytest.raises(ValueError, match=r"axis gantry\.x is homed after itself"):
+    with pytest.raises(ValueError, match=r"axis gantry\.x waits for itself"):
         changed(
             demo_fleet(),
             gantry={
@@ -149,13 +149,13 @@ def test_a_stop_while_homing_ends_it_and_leaves_the_axis_unreferenced() -> None:
         await fleet.until(lambda states: states["gantry"].axes["x"].homing)
         await asyncio.sleep(0.1)
         await client.stop()
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "aborted"
         await asyncio.sleep(0.5)
         state = (await client.status())["gantry"]
         assert state.mode == "idle"
         assert not state.axes["x"].referenced
-        assert not fleet.controllers["gantry"].moving("X")
+        assert not fleet.controllers["gantry"].is_moving("X")
         assert (await outcome(fleet, PREPARE)).state == "done"
 
     run_fleet(main)
@@ -171,7 +171,7 @@ def test_a_controller_that_loses_power_while_homing(name: str) -> None:
         fleet.within(name, lambda unit: unit.set_power(False))
         await asyncio.sleep(0.2)
         fleet.within(name, lambda unit: unit.set_power(True))
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "failed"
         states = await fleet.until(lambda states: states[name].mode == "idle")
         assert not any(axis.referenced for axis in states[name].axes.values())
@@ -198,7 +198,7 @@ def test_an_adapter_that_can_not_be_heard_while_homing_is_not_waited_for() -> No
         cut_ns = fleet.clock.now_ns()
         host = fleet.process(f"host/{fleet.fleet.controllers['gantry'].host}")
         fleet.net.partition({host.name}, {fleet.process("coordinator/first").name})
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "failed" and "gantry: its adapter is silent" in report.reason
         assert fleet.clock.now_ns() - cut_ns < 7 * NS_PER_S  # most of it for answers to stop and release
         assert fleet.controllers["gantry"].at_rest()
@@ -216,10 +216,12 @@ def test_a_search_that_is_stopped_as_it_is_prepared_does_not_begin(name: str, af
         await asyncio.sleep(after_ms / 1000)
         stopped_ns = virtual.clock.now_ns()
         await client.stop()
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "aborted"
         await asyncio.sleep(2.0)
-        assert all(motion.start_ns < stopped_ns + 50 * NS_PER_MS for motion in virtual.controllers[name].motions)
+        assert all(
+            motion.start_ns < stopped_ns + 50 * NS_PER_MS for motion in virtual.controllers[name].commanded_motions
+        )
         assert virtual.controllers[name].at_rest()
 
     run_fleet(main, searching())
@@ -230,15 +232,18 @@ def test_an_axis_is_given_to_nobody_before_its_search_has_come_to_rest(after_ms:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry]}]"))
         client = fleet.client()
-        leased_ns, before = await first_leases_ns(fleet, client, "gantry"), len(fleet.controllers["gantry"].motions)
+        leased_ns, before = (
+            await first_leases_ns(fleet, client, "gantry"),
+            len(fleet.controllers["gantry"].commanded_motions),
+        )
         first = await client.submit(job("[{do: home, axes: [gantry.x]}]"))
         second = await client.submit(job("[{do: enable, axes: [gantry.x]}]"))
         await asyncio.sleep(after_ms / 1000)
-        await client.cancel(first)
-        assert (await client.wait(second)).state == "done"
+        await client.cancel_job(first)
+        assert (await client.wait_for_job(second)).state == "done"
         assert rested(fleet, "gantry", leased_ns[second])
         # Nor did it begin afterwards.
-        searched = fleet.controllers["gantry"].motions[before:]
+        searched = fleet.controllers["gantry"].commanded_motions[before:]
         assert all(motion.start_ns < leased_ns[second] for motion in searched)
 
     run_fleet(main, searching())
@@ -250,11 +255,11 @@ def test_a_search_whose_link_is_closed_is_stopped(name: str) -> None:
         await outcome(virtual, job(f"[{{do: enable, axes: [{name}]}}]"))
         client = virtual.client()
         homing = await client.submit(job(f"[{{do: home, axes: [{name}.x]}}]"))
-        await virtual.until(lambda states: virtual.controllers[name].moving("X"))
+        await virtual.until(lambda states: virtual.controllers[name].is_moving("X"))
         closed_ns = virtual.clock.now_ns()
         for link in list(virtual.wires[name].links):
             link.hang_up()
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "failed" and "closed" in report.reason
         await asyncio.sleep(5.0)
         end_ns = last_end_ns(virtual, name, "X")

@@ -8,17 +8,18 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from adapters.controller.jogging import Jogging
-from adapters.controller.participant import Member
-from adapters.controller.referencing import Referencing
-from adapters.controller.supervisor import Unit
+from adapters.controller.jogging import JogControl
+from adapters.controller.participant import StepParticipant
+from adapters.controller.referencing import AxisReferencing
+from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.driver import ShrcDriver
 from orchestrator.campaign.scenario import Cell, play
+from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.journal.journal import Journal
-from orchestrator.coordinator.leadership.leadership import Throne
-from orchestrator.coordinator.motion.motion import Motion
-from orchestrator.model.messages import Arm, Propose
+from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion.start import StartSequence
+from orchestrator.model.messages import ArmRequest, ProposeRequest
 
 Patch = pytest.MonkeyPatch
 
@@ -32,30 +33,30 @@ async def nothing_async(*_: object) -> None:
 
 
 def goes_without_promises(patch: Patch) -> None:
-    patch.setattr(Motion, "_disarm_if_refused", nothing_async)
+    patch.setattr(StartSequence, "_disarm_if_refused", nothing_async)
 
 
 def opens_its_gate_when_armed(patch: Patch) -> None:
     """And is not unloaded when another member fails."""
-    honest = Member.arm
+    honest = StepParticipant.arm_step
 
-    async def eager(self: Member, request: Arm) -> Any:
+    async def eager(self: StepParticipant, request: ArmRequest) -> Any:
         armed = await honest(self, request)
         await self._driver.go()
         return armed
 
-    patch.setattr(Member, "arm", eager)
-    patch.setattr(Motion, "_disarm", nothing_async)
-    patch.setattr(Unit, "_lease_ended", nothing)
+    patch.setattr(StepParticipant, "arm_step", eager)
+    patch.setattr(StartSequence, "disarm", nothing_async)
+    patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)
 
 
 def stops_nobody(patch: Patch) -> None:
-    patch.setattr(Motion, "stop", nothing_async)
-    patch.setattr(Unit, "_lease_ended", nothing)  # which would stop what the job has left moving
+    patch.setattr(FleetAccess, "stop_members", nothing_async)
+    patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)  # which would stop what the job has left moving
 
 
 def hears_no_estop(patch: Patch) -> None:
-    patch.setattr(Unit, "estop", nothing_async)
+    patch.setattr(ControllerSupervisor, "apply_estop", nothing_async)
 
 
 def plans_beyond_the_limits(patch: Patch) -> None:
@@ -65,75 +66,75 @@ def plans_beyond_the_limits(patch: Patch) -> None:
     def fast(moves: list[AxisMove], sync: Any, speed: float, ramps: Any) -> Any:
         return plan_step([replace(each, velocity=each.velocity * 8) for each in moves], sync, speed, ramps)
 
-    patch.setattr("orchestrator.coordinator.motion.motion.plan_step", fast)
+    patch.setattr("orchestrator.coordinator.motion.planning.plan_step", fast)
     patch.setattr("adapters.controller.supervisor.check_profiles", nothing)
 
 
 def believes_in_old_references(patch: Patch) -> None:
     """Also of a unit that was switched off and on."""
-    patch.setattr(Referencing, "look", lambda *_: [])  # pyright: ignore[reportUnknownLambdaType]
+    patch.setattr(AxisReferencing, "handle_reading", lambda *_: [])  # pyright: ignore[reportUnknownLambdaType]
 
 
 def searches_on(patch: Patch) -> None:
     """Whoever looks for its reference hears no stop."""
-    honest = Unit.stop
+    honest = ControllerSupervisor.stop
 
-    async def deaf(self: Unit, abort: bool, reason: str, follow: bool = False) -> None:
-        if not self._condition.homing:
+    async def deaf(self: ControllerSupervisor, abort: bool, reason: str, follow: bool = False) -> None:
+        if not self._status.homing:
             await honest(self, abort, reason, follow)
 
-    patch.setattr(Unit, "stop", deaf)
+    patch.setattr(ControllerSupervisor, "stop", deaf)
 
 
 def jogs_on(patch: Patch) -> None:
     """Although nobody renews it."""
-    patch.setattr(Jogging, "_keep_time", nothing_async)
+    patch.setattr(JogControl, "_enforce_deadline", nothing_async)
 
 
 def lets_anybody_end_a_job(patch: Patch) -> None:
     """Coordinators that are overtaken, too."""
-    patch.setattr(Journal, "require_reign", nothing)
+    patch.setattr(Journal, "require_latest_epoch", nothing)
     patch.setattr(Journal, "_require_unended", nothing)
 
 
 def stops_everybody(patch: Patch) -> None:
     """All controllers of the fleet, not the members of the step that failed."""
-    honest = Motion.stop
+    honest = FleetAccess.stop_members
 
-    async def all_of_them(self: Motion, members: list[str], mode: Any, actor: str, reason: str) -> None:
-        await honest(self, list(self._view.fleet.controllers), mode, actor, reason)
+    async def all_of_them(self: FleetAccess, members: list[str], mode: Any, actor: str, reason: str) -> None:
+        await honest(self, list(self.view.fleet.controllers), mode, actor, reason)
 
-    patch.setattr(Motion, "stop", all_of_them)
+    patch.setattr(FleetAccess, "stop_members", all_of_them)
 
 
 def claims_too_much(patch: Patch) -> None:
     """An interval that is narrowed to its earliest end misses the truth."""
-    honest = ShrcDriver.started
+    honest = ShrcDriver.wait_for_start
 
     async def narrowed(self: ShrcDriver) -> Any:
         return {axis: type(span)(span.earliest_ns, span.earliest_ns) for axis, span in (await honest(self)).items()}
 
-    patch.setattr(ShrcDriver, "started", narrowed)
+    patch.setattr(ShrcDriver, "wait_for_start", narrowed)
 
 
 def hears_no_other_reign(patch: Patch) -> None:
-    patch.setattr(Throne, "_hear", nothing)
+    patch.setattr(Leadership, "_receive_heartbeat", nothing)
 
 
 def takes_any_configuration(patch: Patch) -> None:
     """Neither the adapter nor the coordinator looks."""
-    honest, honest_info = Unit._check, FleetView.info
+    honest, honest_info = ControllerSupervisor._check_step, FleetView.query_info
 
     async def flattered(self: FleetView, controller: str) -> Any:
         digest = self.fleet.controllers[controller].digest
         return (await honest_info(self, controller)).model_copy(update={"digest": digest})
 
-    patch.setattr(FleetView, "info", flattered)
+    patch.setattr(FleetView, "query_info", flattered)
 
-    def blind(self: Unit, request: Propose | Arm) -> None:
+    def blind(self: ControllerSupervisor, request: ProposeRequest | ArmRequest) -> None:
         honest(self, request.model_copy(update={"digest": self._config.digest}))
 
-    patch.setattr(Unit, "_check", blind)
+    patch.setattr(ControllerSupervisor, "_check_step", blind)
 
 
 class Mutation(NamedTuple):

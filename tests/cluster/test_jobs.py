@@ -5,12 +5,12 @@ import asyncio
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, run_fleet
 
-from adapters.controller.supervisor import Unit
+from adapters.controller.supervisor import ControllerSupervisor
 from orchestrator.bus.base import Sample
 from orchestrator.bus.memory.bus import MemoryBus
-from orchestrator.client.api import Refused
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
-from orchestrator.model.report import Lease
+from orchestrator.model.report import LeaseState
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -23,7 +23,7 @@ def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
         origin_ns = origin_host_ns(fleet)
         homed = {"gantry": 2, "stage": 3}
         for name, controller in fleet.controllers.items():
-            made = iter(controller.motions[homed[name] :])
+            made = iter(controller.commanded_motions[homed[name] :])
             for step in report.steps:
                 member = step.members.get(name)
                 if member is None:
@@ -37,7 +37,7 @@ def test_the_demo_job_runs_and_its_evidence_holds_the_truth() -> None:
         assert set(line.members) == {"gantry", "stage"}
         assert line.start_skew is not None
         assert line.start_skew.at_most_ns <= 10_000_000
-        assert fleet.controllers["gantry"].output(1) is False
+        assert fleet.controllers["gantry"].output_level(1) is False
         # 120 → 180 → 120 mm, 80 → 20 → 80 mm; 6 → 2 → 6 mm.
         assert fleet.controllers["gantry"].position("X") == 120_000
         assert fleet.controllers["gantry"].position("Y") == 80_000
@@ -79,7 +79,11 @@ def test_refusals_before_the_fleet_is_prepared(steps: str, code: str, text: str)
         ("[{do: move, to: {gantry.x: 10 deg}}]", "bad-unit", "deg is a unit of angle"),
         ("[{do: move, to: {gantry.x: 10, stage.u: 1}, max_start_skew: 10 us}]", "start-skew", "predicted start skew"),
         ("[{do: move, to: {gantry.x: 10, stage.u: 1}, start: clock}]", "start-class", "no readable clock to start by"),
-        ("[{do: wait, input: gantry.door, timeout: 1 s}]", "wait-timeout", "gantry.door was not active within 1 s"),
+        (
+            "[{do: wait, input: gantry.door, timeout: 1 s}]",
+            "wait-timeout",
+            "gantry.door did not become active within 1 s",
+        ),
     ],
 )
 def test_refusals_of_a_prepared_fleet(steps: str, code: str, text: str) -> None:
@@ -89,7 +93,9 @@ def test_refusals_of_a_prepared_fleet(steps: str, code: str, text: str) -> None:
         refused = report.steps[-1].refused
         assert refused is not None
         assert (refused.code, text in refused.text) == (code, True), refused
-        assert all(not controller.moving(a) for controller in fleet.controllers.values() for a in controller.axes)
+        assert all(
+            not controller.is_moving(a) for controller in fleet.controllers.values() for a in controller.axis_names
+        )
 
     run_fleet(main)
 
@@ -103,9 +109,9 @@ def test_a_job_that_names_what_is_not_there_is_not_accepted() -> None:
             ("[{do: wait, input: stage.x, timeout: 1 s}]", "no input stage.x; known: gantry.door"),
             ("[{do: home, axes: [nothing]}]", "no axis nothing"),
         ):
-            with pytest.raises(Refused, match=text.replace(".", r"\.")):
+            with pytest.raises(Refusal, match=text.replace(".", r"\.")):
                 await client.submit(job(steps))
-        assert (await client.jobs()).jobs == []
+        assert (await client.list_jobs()).jobs == []
 
     run_fleet(main)
 
@@ -117,7 +123,7 @@ def test_the_same_client_key_gives_the_same_job() -> None:
         first = await client.submit(dwell, "key-1")
         assert await client.submit(dwell, "key-1") == first
         assert await client.submit(dwell, "key-2") != first
-        assert len((await client.jobs()).jobs) == 2
+        assert len((await client.list_jobs()).jobs) == 2
 
     run_fleet(main)
 
@@ -129,16 +135,16 @@ def test_cancel_queued_and_running() -> None:
         running = await client.submit(job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]"))
         queued = await client.submit(job("[{do: home, axes: [gantry]}]"))
         await asyncio.sleep(1.0)
-        assert (await client.jobs()).jobs[0].state == "queued"
-        await client.cancel(queued)
-        await client.cancel(running)
-        assert (await client.wait(running)).state == "cancelled"
-        assert (await client.wait(queued)).state == "cancelled"
+        assert (await client.list_jobs()).jobs[0].state == "queued"
+        await client.cancel_job(queued)
+        await client.cancel_job(running)
+        assert (await client.wait_for_job(running)).state == "cancelled"
+        assert (await client.wait_for_job(queued)).state == "cancelled"
         await asyncio.sleep(0.5)
-        assert not fleet.controllers["gantry"].moving("X")
+        assert not fleet.controllers["gantry"].is_moving("X")
         assert 0 < fleet.controllers["gantry"].position("X") < 390_000
-        with pytest.raises(Refused, match="is cancelled already"):
-            await client.cancel(queued)
+        with pytest.raises(Refusal, match="is cancelled already"):
+            await client.cancel_job(queued)
 
     run_fleet(main)
 
@@ -150,7 +156,7 @@ def test_dry_run_says_what_would_be_sent() -> None:
         assert shown["0"]["duration_s"] > 0.1
         assert any("PA" in line for line in shown["0"]["commands"]["gantry"])
         assert any(line.startswith(("AP", "MP")) for line in shown["0"]["commands"]["stage"])
-        assert not any(c.moving(a) for c in fleet.controllers.values() for a in c.axes)
+        assert not any(c.is_moving(a) for c in fleet.controllers.values() for a in c.axis_names)
 
     run_fleet(main)
 
@@ -158,9 +164,9 @@ def test_dry_run_says_what_would_be_sent() -> None:
 @pytest.mark.parametrize(("axis", "other"), [("stage.u", "gantry"), ("gantry.x", "stage")])
 def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.MonkeyPatch, axis: str, other: str) -> None:
     told: list[str] = []
-    estop = Unit.estop
+    estop = ControllerSupervisor.apply_estop
 
-    async def noted(unit: Unit, latch: EstopLatch) -> None:
+    async def noted(unit: ControllerSupervisor, latch: EstopLatch) -> None:
         told.append(unit.controller)
         await estop(unit, latch)
 
@@ -170,7 +176,7 @@ def test_who_moves_is_told_of_an_estop_before_who_rests(monkeypatch: pytest.Monk
         client = fleet.client()
         await client.submit(job(f"[{{do: move, to: {{{axis}: 40}}, speed: 0.1}}]"))
         await fleet.until(lambda states: states[mover].mode == "moving")
-        monkeypatch.setattr(Unit, "estop", noted)
+        monkeypatch.setattr(ControllerSupervisor, "apply_estop", noted)
         await client.estop("a test")
         assert told == [mover, other]
 
@@ -186,7 +192,7 @@ def test_estop_latches_everywhere_and_survives_a_restarted_host() -> None:
         await asyncio.sleep(0.6)
         latched = await client.estop("a test")
         assert latched == {"gantry": True, "stage": True}
-        assert (await client.wait(moving)).state in ("aborted", "failed")
+        assert (await client.wait_for_job(moving)).state in ("aborted", "failed")
         fleet.kill("host/local")
         states = await fleet.until(lambda states: all(s.mode in ("idle", "fault") for s in states.values()))
         assert all(state.estop is not None and state.estop.reason == "a test" for state in states.values())
@@ -220,7 +226,7 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
         fleet.start_coordinator("second")
         await asyncio.sleep(2.0)
         assert any(
-            "reigns in fleet demo (epoch 1); stop it first, or start with --take-over" in line for line in fleet.lines
+            "leads fleet demo (epoch 1); stop it first, or start with --take-over" in line for line in fleet.lines
         )
         other = demo_fleet()
         gantry = other.controllers["gantry"].model_copy(update={"options": {"decode_us": 700}})
@@ -228,10 +234,10 @@ def test_a_second_coordinator_is_refused_and_a_fleet_file_that_differs_too() -> 
         fleet.start_coordinator("third", take_over=True)
         await asyncio.sleep(3.0)
         report = await outcome(fleet, job("[{do: home, axes: [gantry]}]"))
-        assert report.state == "failed" and "gantry: the coordinator believes in configuration" in report.reason
-        with pytest.raises(Refused) as caught:
+        assert report.state == "failed" and "gantry: the coordinator uses configuration" in report.reason
+        with pytest.raises(Refusal) as caught:
             await fleet.client().dry_run(job("[{do: move, to: {gantry.x: 1}}]"))
-        assert caught.value.refusal.code == "other-configuration"
+        assert caught.value.code == "other-configuration"
 
     run_fleet(main)
 
@@ -286,12 +292,14 @@ def test_enabling_by_policy_and_leases_on_the_bus() -> None:
         client, holders = fleet.client(), list[tuple[str, bool]]()
 
         def hear(sample: Sample) -> None:
-            lease = Lease.model_validate_json(sample.payload)
+            lease = LeaseState.model_validate_json(sample.payload)
             if lease.what.startswith("job"):
                 holders.append((lease.controller, lease.holder is not None))
 
         await client.bus.subscribe(client.keys.leases, hear)
-        report = await client.wait(await client.submit(job("[{do: home}, {do: move, to: {gantry.x: 5, stage.u: 1}}]")))
+        report = await client.wait_for_job(
+            await client.submit(job("[{do: home}, {do: move, to: {gantry.x: 5, stage.u: 1}}]"))
+        )
         assert report.state == "done", report.reason
         # In order for each key; no more is promised.
         for controller in policies:
@@ -306,10 +314,10 @@ def test_enabling_by_policy_and_leases_on_the_bus() -> None:
 def test_an_estop_takes_outputs_to_their_safe_state() -> None:
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, job("[{do: output, output: gantry.lamp, value: true}]"))).state == "done"
-        assert fleet.controllers["gantry"].output(1)
+        assert fleet.controllers["gantry"].output_level(1)
         await fleet.client().estop()
         await asyncio.sleep(0.5)
-        assert not fleet.controllers["gantry"].output(1)
+        assert not fleet.controllers["gantry"].output_level(1)
 
     run_fleet(main)
 
@@ -317,7 +325,7 @@ def test_an_estop_takes_outputs_to_their_safe_state() -> None:
 def test_the_trace_shows_the_fired_line_in_its_place() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE, job("[{do: move, to: {stage.u: 1}}]"))
-        entries = (await fleet.client().trace("stage")).entries
+        entries = (await fleet.client().read_trace("stage")).entries
         assert [text for _, direction, text in entries if direction == "out" and text.startswith("G:")] == ["G:1\r\n"]
         assert [at_ns for at_ns, _, _ in entries] == sorted(at_ns for at_ns, _, _ in entries)
 
@@ -347,11 +355,11 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
         await asyncio.sleep(1.0)
         lost_ns = fleet.clock.now_ns()
         fleet.within("gantry", lambda gantry: gantry.set_input(1, False))
-        report = await client.wait(moving)
+        report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "permit door-closed" in report.reason
         await asyncio.sleep(1.0)
-        ends_ns = [motion.end_ns for each in fleet.controllers.values() for motion in each.motions[-1:]]
+        ends_ns = [motion.end_ns for each in fleet.controllers.values() for motion in each.commanded_motions[-1:]]
         # One poll of the gantry (100 ms), its way to the coordinator and the stops, then ramps of 0.2 s at the most.
         assert all(end_ns is not None and end_ns - lost_ns < 500_000_000 for end_ns in ends_ns)
 

@@ -8,8 +8,9 @@ from cluster.worlds import outcome, run_fleet
 
 from orchestrator.campaign.fleets import MAKES, fleet_of
 from orchestrator.campaign.jobs import preparation
-from orchestrator.client.api import Refused, Tutti
+from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -41,19 +42,19 @@ def test_the_first_press_moves_an_axis_of_every_make_and_it_changes_its_speed(ma
     async def main(virtual: VirtualFleet) -> None:
         await prepared(virtual)
         unit, motor = virtual.controllers[name], fleet.axis(axis).motors[0]
-        async with virtual.client().by_hand([axis]) as hand:
+        async with virtual.client().manual_control([axis]) as hand:
             await hand.jog({axis: speed})
             for _ in range(15):
-                await hand.renew()
+                await hand.renew_jog()
                 await asyncio.sleep(0.06)
-            assert unit.moving(motor)
+            assert unit.is_moving(motor)
             for _ in range(15):
-                await hand.renew({axis: speed / 2})
+                await hand.renew_jog({axis: speed / 2})
                 await asyncio.sleep(0.06)
-            assert unit.moving(motor)
+            assert unit.is_moving(motor)
             await hand.stop()
         await asyncio.sleep(1.5)
-        assert not unit.moving(motor)
+        assert not unit.is_moving(motor)
 
     run_fleet(main, fleet)
 
@@ -64,8 +65,8 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
     fleet, name, axis, speed = one_of(make)
 
     async def press(client: Tutti) -> None:
-        with suppress(Refused):
-            async with client.by_hand([axis]) as hand:
+        with suppress(Refusal):
+            async with client.manual_control([axis]) as hand:
                 await hand.jog({axis: speed})
                 await asyncio.sleep(1.0)
 
@@ -80,7 +81,7 @@ def test_an_order_that_is_disturbed_on_its_way_moves_nothing_for_long(make: str,
 
     async def main(virtual: VirtualFleet) -> None:
         await prepared(virtual)
-        client, motions = virtual.client(), virtual.controllers[name].motions
+        client, motions = virtual.client(), virtual.controllers[name].commanded_motions
         for after_ms in AFTER_MS:
             before = len(motions)
             pressing = asyncio.get_running_loop().create_task(press(client))
@@ -107,17 +108,17 @@ def test_who_was_jogged_when_its_line_broke_is_stopped_as_soon_as_it_answers(mak
     async def main(virtual: VirtualFleet) -> None:
         await prepared(virtual)
         unit, wire = virtual.controllers[name], virtual.wires[name]
-        before = len(unit.motions)
-        with suppress(Refused):
-            async with virtual.client().by_hand([axis]) as hand:
+        before = len(unit.commanded_motions)
+        with suppress(Refusal):
+            async with virtual.client().manual_control([axis]) as hand:
                 await hand.jog({axis: speed})
-                await hand.renew()
+                await hand.renew_jog()
                 wire.cut = True
                 await asyncio.sleep(deaf_s)
                 wire.cut = False
         back_ns = virtual.clock.now_ns()
         await asyncio.sleep(2.5)
-        ends = [motion.end_ns for motion in unit.motions[before:]]
+        ends = [motion.end_ns for motion in unit.commanded_motions[before:]]
         assert ends and all(end_ns is not None and end_ns < back_ns + 2 * NS_PER_S for end_ns in ends), ends
 
     run_fleet(main, fleet)

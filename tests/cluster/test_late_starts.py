@@ -8,7 +8,7 @@ from cluster.test_can_streams import DRIVES
 from cluster.test_can_streams import fleet as streams
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
-from adapters.toolkit.firing import ORDINARY_US, PUNCTUAL_US, LoopFirer
+from adapters.toolkit.firing import ORDINARY_DELAY_US, VIRTUAL_DELAY_US, LoopTimedWriter
 from orchestrator.bench.sync_fleets import mixed, ppsmc, shrc203, smc30, smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.fleet import Fleet
@@ -23,15 +23,15 @@ MOVE = "[{do: move, to: {gantry.x: 60, stage.u: 6}}]"
 def _late(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that fires has the processor 3 ms after the instant of every start."""
 
-    def wakes_late(self: LoopFirer, clock: Clock, wake_ns: object) -> None:
+    def wakes_late(self: LoopTimedWriter, clock: Clock, wake_ns: object) -> None:
         made(self, clock, lambda: LATE_NS)
 
-    made = LoopFirer.__init__
-    monkeypatch.setattr(LoopFirer, "__init__", wakes_late)
+    made = LoopTimedWriter.__init__
+    monkeypatch.setattr(LoopTimedWriter, "__init__", wakes_late)
 
 
 def promise(monkeypatch: pytest.MonkeyPatch, late_us: int) -> None:
-    monkeypatch.setattr(LoopFirer, "late_us", late_us)
+    monkeypatch.setattr(LoopTimedWriter, "max_delay_us", late_us)
 
 
 def true_starts(virtual: VirtualFleet, before: dict[str, int]) -> dict[str, int]:
@@ -39,7 +39,9 @@ def true_starts(virtual: VirtualFleet, before: dict[str, int]) -> dict[str, int]
     origin_ns = origin_host_ns(virtual)
     units = virtual.controllers
     return {
-        name: units[name].motions[n].start_ns - origin_ns for name, n in before.items() if len(units[name].motions) > n
+        name: units[name].commanded_motions[n].start_ns - origin_ns
+        for name, n in before.items()
+        if len(units[name].commanded_motions) > n
     }
 
 
@@ -48,7 +50,10 @@ def require_evidence(report: JobReport, starts: dict[str, int], late_ns: dict[st
     for name, true_ns in starts.items():
         for axis, evidence in step.members[name].evidence.items():
             assert evidence.start.earliest_ns <= true_ns <= evidence.start.latest_ns, (name, axis)
-            assert evidence.judged_start.earliest_ns <= true_ns <= evidence.judged_start.latest_ns, (name, axis)
+            assert evidence.start_for_verdict.earliest_ns <= true_ns <= evidence.start_for_verdict.latest_ns, (
+                name,
+                axis,
+            )
             assert evidence.late_ns == late_ns[name], (name, axis)
     assert step.start_skew is not None
     assert step.start_skew.at_least_ns <= max(starts.values()) - min(starts.values()) <= step.start_skew.at_most_ns
@@ -56,7 +61,7 @@ def require_evidence(report: JobReport, starts: dict[str, int], late_ns: dict[st
 
 @pytest.mark.parametrize(
     ("promised_us", "allowed", "late_us"),
-    [(PUNCTUAL_US, "10 ms", 2800), (ORDINARY_US, "10 ms", 0), (PUNCTUAL_US, "5 ms", None)],
+    [(VIRTUAL_DELAY_US, "10 ms", 2800), (ORDINARY_DELAY_US, "10 ms", 0), (VIRTUAL_DELAY_US, "5 ms", None)],
 )
 def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
     monkeypatch: pytest.MonkeyPatch, promised_us: int, allowed: str, late_us: int | None
@@ -65,7 +70,7 @@ def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
 
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         report = await outcome(virtual, job(MOVE, max_start_skew=allowed))
         budget = report.steps[0].budget
         assert budget is not None
@@ -73,7 +78,9 @@ def test_a_start_later_than_promised_is_made_if_the_job_allows_for_it(
         assert host.latest_ns == promised_us * NS_PER_US
         starts = true_starts(virtual, before)
         if late_us is None:
-            text = "stage: the instant to write the starting line to serial /dev/ttyUSB0 was missed: it was 3.0 ms past"
+            text = (
+                "stage: the instant to write the starting command to serial /dev/ttyUSB0 was missed: it was 3.0 ms past"
+            )
             assert report.state == "failed" and text in report.reason and "stage" not in starts
             return
         assert report.state == "done", report.reason
@@ -100,12 +107,12 @@ def test_every_make_that_the_host_starts_tells_how_late_it_was_and_its_evidence_
     async def main(virtual: VirtualFleet) -> None:
         axes = list(virtual.controllers)
         await outcome(virtual, job(f"[{{do: enable, axes: {axes}}}, {{do: home, axes: {axes}}}]"))
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         way = "{gantry.x: 50, stage.x: 5, pulses.x: 40000, steps.x: 8, c0.x: 40, c1.x: 30, c2.x: 20}"
         move = f"[{{do: move, by: {way}, speed: 0.5}}]"
         report = await outcome(virtual, job(move, max_start_skew="80 ms"))
         assert report.state == "done", report.reason
-        late_ns = dict.fromkeys(axes, LATE_NS - PUNCTUAL_US * NS_PER_US) | {"gantry": 0}
+        late_ns = dict.fromkeys(axes, LATE_NS - VIRTUAL_DELAY_US * NS_PER_US) | {"gantry": 0}
         require_evidence(report, true_starts(virtual, before), late_ns)
 
     run_fleet(main, alone())
@@ -119,7 +126,7 @@ def test_every_make_that_the_host_starts_tells_how_late_it_was_and_its_evidence_
             lambda: Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "bus", "controllers": mixed(False)}),
             "[a1, d1, d2]",
             "{do: move, by: {a1.x: 50, d1.x: 8, d2.x: 9}}",
-            "starting line",
+            "starting command",
         ),
     ],
     ids=["stream", "turns"],
@@ -143,10 +150,12 @@ def test_those_who_wait_for_a_line_count_on_the_promise_of_who_drives_it() -> No
 
     async def main(virtual: VirtualFleet) -> None:
         await outcome(virtual, PREPARE)
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         move = "[{do: move, to: {gantry.x: 60, stage.u: 6}, start: line}]"
         report = await outcome(virtual, job(move, max_start_skew="80 ms"))
-        assert report.state == "failed" and "the instant to write the starting line to" in report.reason, report.reason
+        assert report.state == "failed" and "the instant to write the starting command to" in report.reason, (
+            report.reason
+        )
         assert not true_starts(virtual, before)
 
     run_fleet(main, Fleet.model_validate(plain))

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
-from orchestrator.client.api import Refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport, StepReport
 from orchestrator.runtime.virtual import VirtualFleet
@@ -43,7 +43,7 @@ def judged_rightly(fleet: VirtualFleet, report: JobReport, before: dict[str, int
     """The step, and its true start skew, which its verdict holds."""
     assert report.state == "done", report.reason
     step = report.steps[0]
-    made = [m for name, each in fleet.controllers.items() for m in each.motions[before[name] :]]
+    made = [m for name, each in fleet.controllers.items() for m in each.commanded_motions[before[name] :]]
     assert len(made) == sum(len(member.axes) for member in step.members.values())
     starts = [motion.start_ns for motion in made]
     skew_ns = max(starts) - min(starts)
@@ -54,7 +54,7 @@ def judged_rightly(fleet: VirtualFleet, report: JobReport, before: dict[str, int
 
 
 def count(fleet: VirtualFleet) -> dict[str, int]:
-    return {name: len(each.motions) for name, each in fleet.controllers.items()}
+    return {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -65,7 +65,7 @@ def test_members_that_all_wait_for_the_line_start_together_by_it(seed: int) -> N
         step, _ = judged_rightly(fleet, await outcome(fleet, WAITERS), before)
         ways = {name: member.start_class for name, member in step.members.items()}
         assert ways == {"gantry": "clock", "stage": "line", "portal": "line"}
-        assert step.budget is not None and step.budget.by_line
+        assert step.budget is not None and step.budget.by_trigger_line
         # The line is passive again, so that the next step can be started by it.
         before = count(fleet)
         step, _ = judged_rightly(
@@ -113,7 +113,7 @@ def test_a_missing_wire_fails_the_step_and_a_stuck_one_refuses_it() -> None:
         await sleep_ns(clock_fleet.clock, 500 * NS_PER_MS)
         refused = await refusal(clock_fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
         assert refused.code == "line-level" and refused.member == "portal" and refused.remedy
-        assert all(not each.moving(axis) for each in clock_fleet.controllers.values() for axis in each.axes)
+        assert all(not each.is_moving(axis) for each in clock_fleet.controllers.values() for axis in each.axis_names)
         await client.close()
 
     run_fleet(main, wired_fleet())
@@ -123,7 +123,7 @@ def test_a_missing_wire_fails_the_step_and_a_stuck_one_refuses_it() -> None:
         before = count(fleet)
         report = await outcome(fleet, job("[{do: move, to: {stage.u: 5, portal.x: 60}, start: line}]"))
         assert report.state == "failed" and "portal" in report.reason
-        assert len(fleet.controllers["portal"].motions) == before["portal"]
+        assert len(fleet.controllers["portal"].commanded_motions) == before["portal"]
         states = await fleet.until(lambda states: all(state.mode == "idle" for state in states.values()))
         assert states["stage"].mode == "idle"
 
@@ -155,7 +155,7 @@ def test_wires_differ_in_delay_within_their_bounds() -> None:
             unit.set_input = seen  # type: ignore[method-assign]
         client = fleet.client()
         began_ns = fleet.clock.now_ns()
-        await client.raw("gantry", "SB 2", i_know=True)
+        await client.send_raw("gantry", "SB 2", i_know=True)
         await sleep_ns(fleet.clock, 10 * NS_PER_MS)
         assert set(at) == {"stage", "portal"}
         assert 0 < abs(at["stage"] - at["portal"]) <= 35 * NS_PER_US
@@ -178,8 +178,8 @@ def test_the_wiring_check_finds_what_is_wrong_without_motion(really: dict[str, A
         for each in found:
             assert each.text.startswith(said[each.input])
             assert each.ok == (each.text == "follows") == (not each.remedy)
-        assert not any(each.motions for each in fleet.controllers.values())
-        assert not any(fleet.controllers["gantry"].output(number) for number in (1, 2))
+        assert not any(each.commanded_motions for each in fleet.controllers.values())
+        assert not any(fleet.controllers["gantry"].output_level(number) for number in (1, 2))
         # Everything is free again.
         prepared = await outcome(fleet, PREPARE)
         assert prepared.state == "done", prepared.reason
@@ -194,14 +194,14 @@ def test_the_wiring_check_finds_wrong_levels_and_wires_that_nobody_knows_of() ->
     async def main(fleet: VirtualFleet) -> None:
         found = {each.input: each for each in await fleet.client().check_wiring()}
         assert found["portal.start"].ok
-        assert "wrong way round" in found["stage.start"].text and "active" in found["stage.start"].remedy
+        assert "inverted" in found["stage.start"].text and "active" in found["stage.start"].remedy
 
     run_fleet(main, wired_fleet(), wired=Fleet.model_validate(inverted))
 
     async def crossed(fleet: VirtualFleet) -> None:
         found = {each.input: each for each in await fleet.client().check_wiring()}
         assert found["stage.start"].ok
-        assert not found["portal.start"].ok and "although" in found["portal.start"].text
+        assert not found["portal.start"].ok and "has no such wire" in found["portal.start"].text
 
     run_fleet(crossed, wired_fleet(to=["stage.start"]), wired=wired_fleet())
 
@@ -223,7 +223,7 @@ def test_the_wiring_check_waits_for_who_is_polled_seldom() -> None:
     async def main(fleet: VirtualFleet) -> None:
         found = {each.input: each for each in await fleet.client().check_wiring()}
         assert found["stage.start"].ok
-        assert not found["portal.start"].ok and "although" in found["portal.start"].text
+        assert not found["portal.start"].ok and "has no such wire" in found["portal.start"].text
 
     seldom["wiring"][0]["to"] = ["stage.start"]
     run_fleet(main, Fleet.model_validate(seldom), wired=wired_fleet())
@@ -232,14 +232,14 @@ def test_the_wiring_check_waits_for_who_is_polled_seldom() -> None:
 def test_the_wiring_is_not_checked_while_wired_axes_are_in_use_or_without_wires() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
-        async with client.by_hand(["portal.x"]):
-            with pytest.raises(Refused, match="in use"):
+        async with client.manual_control(["portal.x"]):
+            with pytest.raises(Refusal, match="in use"):
                 await client.check_wiring()
 
     run_fleet(main, wired_fleet())
 
     async def bare(fleet: VirtualFleet) -> None:
-        with pytest.raises(Refused, match="wiring"):
+        with pytest.raises(Refusal, match="wiring"):
             await fleet.client().check_wiring()
 
     run_fleet(bare)

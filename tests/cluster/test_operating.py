@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.controller.store import Memory, MemoryStore
-from orchestrator.client.api import Refused
+from adapters.controller.store import AdapterMemory, VolatileStore
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.link.memory import MemoryLink
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, Permit
 from orchestrator.model.state import ControllerState
 from orchestrator.runtime.virtual import VirtualFleet
@@ -83,7 +83,7 @@ def test_nothing_moves_before_the_brake_is_open() -> None:
         assert not states["gantry"].axes["x"].enabled
         report = await outcome(virtual, job("[{do: home, axes: [gantry.x]}]"))
         assert report.state == "done"  # it was queued behind the enabling, and waited for the brake with it
-        first = virtual.controllers["gantry"].motions[0]
+        first = virtual.controllers["gantry"].commanded_motions[0]
         assert first.start_ns > 2_000_000_000
 
     run_fleet(main, fleet)
@@ -99,17 +99,17 @@ def test_what_motors_do_after_an_estop_and_after_a_stop() -> None:
         await virtual.until(lambda states: states["gantry"].mode == "moving")
         await asyncio.sleep(0.7)
         await client.stop()
-        await client.wait(moving)
+        await client.wait_for_job(moving)
         await asyncio.sleep(0.5)
         assert all(axis.enabled for axis in (await client.status())["gantry"].axes.values())
         again = await client.submit(job("[{do: move, to: {gantry.x: 390, gantry.y: 200}, speed: 0.2}]"))
         await virtual.until(lambda states: states["gantry"].mode == "moving")
         await asyncio.sleep(0.7)
         await client.estop()
-        await client.wait(again)
+        await client.wait_for_job(again)
         states = await virtual.until(lambda states: not states["gantry"].axes["x"].enabled)
         assert states["gantry"].axes["y"].enabled
-        assert not virtual.controllers["gantry"].moving("X")
+        assert not virtual.controllers["gantry"].is_moving("X")
 
     run_fleet(main, fleet)
 
@@ -128,11 +128,11 @@ def test_a_permit_that_flickers_stops_the_step_although_it_is_back() -> None:
         set_door(fleet, True)
         await asyncio.sleep(0.12)  # one poll at 10 Hz sees it
         set_door(fleet, False)
-        report = await client.wait(moving)
+        report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "permit" in report.reason
         await asyncio.sleep(1.0)
-        assert not any(c.moving(a) for c in fleet.controllers.values() for a in c.axes)
+        assert not any(c.is_moving(a) for c in fleet.controllers.values() for a in c.axis_names)
 
     run_fleet(main, guarded())
 
@@ -158,7 +158,7 @@ def test_a_permit_guards_homing_too() -> None:
         await outcome(fleet, job("[{do: enable, axes: [gantry, stage]}]"))
         await door_is(fleet, True)
         refused = await refusal(fleet, job("[{do: home, axes: [gantry]}]"))
-        assert (refused.code, fleet.controllers["gantry"].motions) == ("permit", [])
+        assert (refused.code, fleet.controllers["gantry"].commanded_motions) == ("permit", [])
         await door_is(fleet, False)
         client = fleet.client()
         homing = await client.submit(job("[{do: home, axes: [gantry]}]"))
@@ -166,11 +166,11 @@ def test_a_permit_guards_homing_too() -> None:
         await asyncio.sleep(0.05)
         lost_ns = fleet.clock.now_ns()
         set_door(fleet, True)
-        report = await client.wait(homing)
+        report = await client.wait_for_job(homing)
         assert report.state == "failed"
         assert "permit door-closed" in report.reason
         await asyncio.sleep(0.5)
-        ends = [motion.end_ns for motion in fleet.controllers["gantry"].motions]
+        ends = [motion.end_ns for motion in fleet.controllers["gantry"].commanded_motions]
         assert all(end is not None and end < lost_ns + 400_000_000 for end in ends)
         assert not any(axis.referenced for axis in (await client.status())["gantry"].axes.values())
 
@@ -242,7 +242,7 @@ def test_relative_moves_of_thirds_there_and_back_end_on_the_same_count() -> None
         report = await outcome(virtual, job("[" + ", ".join([there] * 60 + [back] * 60) + "]"))
         assert report.state == "done", report.reason
         assert virtual.controllers["gantry"].position("X") == before
-        furthest = max(abs(m.end_counts or 0) for m in virtual.controllers["gantry"].motions if m.axis == "X")
+        furthest = max(abs(m.end_counts or 0) for m in virtual.controllers["gantry"].commanded_motions if m.axis == "X")
         assert round(furthest - before) == round(Fraction(6) * Fraction(10000, 3))
 
     run_fleet(main, fleet)
@@ -259,14 +259,14 @@ def test_a_fleet_file_is_reloaded_by_idle_controllers_only() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE, job("[{do: move, to: {gantry.x: 200}}]"))
-        assert await client.reload(demo_fleet()) == []
+        assert await client.reload_fleet(demo_fleet()) == []
         moving = await client.submit(job("[{do: move, to: {stage.u: 40}, speed: 0.2}]"))
         await fleet.until(lambda states: states["stage"].mode == "moving")
-        with pytest.raises(Refused, match="is in use by client"):
-            await client.reload(narrowed(demo_fleet(), 100))
-        assert (await client.wait(moving)).state == "done"
+        with pytest.raises(Refusal, match="is in use by client"):
+            await client.reload_fleet(narrowed(demo_fleet(), 100))
+        assert (await client.wait_for_job(moving)).state == "done"
         before = await client.status()
-        assert await client.reload(narrowed(demo_fleet(), 100)) == ["gantry"]
+        assert await client.reload_fleet(narrowed(demo_fleet(), 100)) == ["gantry"]
         after = await client.status()
         assert after["gantry"].digest != before["gantry"].digest
         assert after["stage"].instance == before["stage"].instance
@@ -296,12 +296,12 @@ def test_what_a_reload_can_not_change() -> None:
         client = fleet.client()
         for file, words in (
             (elsewhere, r"controllers\.gantry\.link would change"),
-            (fewer, "controller stage would come or go"),
+            (fewer, "controller stage would be added or removed"),
             (wrong, "there is no motor 'Q'"),
-            (base.model_copy(update={"fleet": "other"}), "the file is of fleet other, this is demo"),
+            (base.model_copy(update={"fleet": "other"}), "the file is of fleet other, but the running fleet is demo"),
         ):
-            with pytest.raises(Refused, match=words):
-                await client.reload(file)
+            with pytest.raises(Refusal, match=words):
+                await client.reload_fleet(file)
         # One that refuses keeps all others from changing.
         assert {name: state.digest for name, state in (await client.status()).items()} == {
             name: config.digest for name, config in base.controllers.items()
@@ -368,7 +368,7 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE)
-        before = {each: len(controller.motions) for each, controller in fleet.controllers.items()}
+        before = {each: len(controller.commanded_motions) for each, controller in fleet.controllers.items()}
         moving = await client.submit(TEN_S)
         async with asyncio.timeout(10.0):
             while (await client.status())[name].mode != state:
@@ -379,11 +379,11 @@ def test_a_power_cycle_of_an_armed_or_moving_controller_stops_the_step(name: str
         fleet.within(name, lambda unit: unit.set_power(False))
         await asyncio.sleep(0.3)
         fleet.within(name, lambda unit: unit.set_power(True))
-        report = await client.wait(moving)
+        report = await client.wait_for_job(moving)
         assert report.state == "failed"
         await asyncio.sleep(2.0)
         for each, controller in fleet.controllers.items():
-            for motion in controller.motions[before[each] :]:
+            for motion in controller.commanded_motions[before[each] :]:
                 assert motion.end_ns is not None
                 assert motion.end_ns - fault_ns < 1_500_000_000
         await fleet.until(lambda states: states[name].mode == "idle" and reference_lost(states, name))
@@ -404,17 +404,17 @@ def test_an_axis_that_does_not_follow_stops_its_step(native: bool) -> None:
         await outcome(virtual, PREPARE)
         client = virtual.client()
         if not native:
-            await client.raw("gantry", "ER 32767;OE 0", i_know=True)
+            await client.send_raw("gantry", "ER 32767;OE 0", i_know=True)
         moving = await client.submit(TEN_S)
         await virtual.until(lambda states: all(state.mode == "moving" for state in states.values()))
         await asyncio.sleep(1.0)
         virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
         stalled_ns = virtual.clock.now_ns()
-        report = await client.wait(moving)
+        report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "axis x" in report.reason
         await asyncio.sleep(1.0)
-        ends = [m.end_ns for each in virtual.controllers.values() for m in each.motions[-1:]]
+        ends = [m.end_ns for each in virtual.controllers.values() for m in each.commanded_motions[-1:]]
         assert all(end is not None and end - stalled_ns < 600_000_000 for end in ends)
         if not native:
             fault = (await client.status())["gantry"].faults[0]
@@ -442,7 +442,7 @@ def test_an_axis_is_there_only_when_it_has_settled() -> None:
         moving = await client.submit(job("[{do: move, to: {gantry.x: 6}}]"))
         await virtual.until(lambda states: states["gantry"].mode == "moving")
         virtual.within("gantry", lambda gantry: gantry.set_stalled("X", True))
-        report = await client.wait(moving)
+        report = await client.wait_for_job(moving)
         assert report.state == "failed"
         assert "off its target after 6" in report.reason
         assert "its window is 0.01" in report.reason
@@ -454,13 +454,13 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     order: list[str] = []
-    write, save = MemoryLink.write, MemoryStore.save
+    write, save = MemoryLink.write, VolatileStore.save
 
     def told(link: MemoryLink, data: bytes) -> int:
         order.append(data.decode("latin-1"))
         return write(link, data)
 
-    def kept(store: MemoryStore, memory: Memory) -> None:
+    def kept(store: VolatileStore, memory: AdapterMemory) -> None:
         order.append("disk")
         save(store, memory)
 
@@ -470,7 +470,7 @@ def test_an_estop_is_written_to_all_controllers_before_anything_waits_for_a_disk
         moving = await client.submit(TEN_S)
         await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
         monkeypatch.setattr(MemoryLink, "write", told)
-        monkeypatch.setattr(MemoryStore, "save", kept)
+        monkeypatch.setattr(VolatileStore, "save", kept)
         await client.estop("a test")
         await moving.result()
         assert {"AB\r", "L:E\r\n"} < set(order[: order.index("disk")])
@@ -487,7 +487,7 @@ def test_a_slow_disk_holds_up_nothing_of_an_estop(monkeypatch: pytest.MonkeyPatc
             await asyncio.sleep(takes_s)
         return function(*values)
 
-    monkeypatch.setattr("orchestrator.runtime.virtual.inline", slow)
+    monkeypatch.setattr("orchestrator.runtime.virtual.run_inline", slow)
 
     async def main(fleet: VirtualFleet) -> None:
         nonlocal takes_s

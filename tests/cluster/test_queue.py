@@ -6,8 +6,9 @@ import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import Sample
-from orchestrator.client.api import Refused, Tutti
-from orchestrator.model.queue import Terms
+from orchestrator.client.api import Tutti
+from orchestrator.model.errors import Refusal
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry, QueueState
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -18,14 +19,14 @@ SHORT = job("[{do: move, by: {gantry.y: 1}}]")
 
 
 async def entry(client: Tutti, job_id: str) -> QueueEntry:
-    found = (await client.show(job_id)).entry
+    found = (await client.show_job(job_id)).entry
     assert found is not None
     return found
 
 
 async def begins(client: Tutti, *job_ids: str) -> list[str]:
     """Ids in the order in which they began."""
-    reports = [await client.wait(each) for each in job_ids]
+    reports = [await client.wait_for_job(each) for each in job_ids]
     assert [each.state for each in reports] == ["done"] * len(reports), [each.reason for each in reports]
     return [each.job_id for each in sorted(reports, key=lambda each: each.started_utc or "")]
 
@@ -37,10 +38,10 @@ def test_jobs_without_a_controller_in_common_run_at_the_same_time() -> None:
         first, second = await client.submit(GANTRY), await client.submit(STAGE)
         await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
         # Cancelling one does not touch the other.
-        await client.cancel(first)
-        assert (await client.wait(first)).state == "cancelled"
+        await client.cancel_job(first)
+        assert (await client.wait_for_job(first)).state == "cancelled"
         assert (await client.status())["stage"].mode == "moving"
-        report = await client.wait(second)
+        report = await client.wait_for_job(second)
         assert report.state == "done", report.reason
         assert fleet.controllers["stage"].position("1") == 200_000
 
@@ -71,16 +72,16 @@ def test_a_job_waits_for_a_hand_and_begins_when_it_lets_go() -> None:
         await outcome(fleet, PREPARE)
         heard: list[str] = []
 
-        async with anna.by_hand(["gantry.x"], what="alignment"):
+        async with anna.manual_control(["gantry.x"], what="alignment"):
             waiting, free = await ben.submit(BOTH), await ben.submit(job("[{do: dwell, duration: 1 s}]"))
 
             def hear(sample: Sample) -> None:
                 heard.extend(each.reason for each in QueueState.model_validate_json(sample.payload).jobs)
 
             await ben.bus.subscribe(ben.keys.queue, hear)
-            assert (await ben.wait(free)).state == "done"
+            assert (await ben.wait_for_job(free)).state == "done"
             assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (alignment)"
-        assert (await ben.wait(waiting)).state == "done"
+        assert (await ben.wait_for_job(waiting)).state == "done"
         assert "waits for gantry: in use by anna (alignment)" in heard
 
     run_fleet(main)
@@ -93,19 +94,25 @@ def test_priority_hold_release_and_order() -> None:
         running = await client.submit(GANTRY)
         a, b, c, d, e = [
             await client.submit(SHORT, terms=terms)
-            for terms in (Terms(), Terms(), Terms(priority=5), Terms(held=True), Terms(priority=-1))
+            for terms in (
+                QueueTerms(),
+                QueueTerms(),
+                QueueTerms(priority=5),
+                QueueTerms(held=True),
+                QueueTerms(priority=-1),
+            )
         ]
-        await client.move(e, before=a)
+        await client.reorder_job(e, before=a)
         assert (await entry(client, e)).terms.priority == 0
-        await client.hold(b)
+        await client.hold_jobs(b)
         shown = await entry(client, b)
         assert (shown.reason, shown.held_by) == ("held by anna", "anna")
         assert await begins(client, running, c, e, a) == [running, c, e, a]
         assert [(await entry(client, each)).state for each in (b, d)] == ["queued", "queued"]
-        await client.release(d)
-        assert (await client.wait(d)).state == "done"
-        await client.release()
-        report = await client.wait(b)
+        await client.release_jobs(d)
+        assert (await client.wait_for_job(d)).state == "done"
+        await client.release_jobs()
+        report = await client.wait_for_job(b)
         assert [(each.state, each.reason, each.actor) for each in report.transitions[:3]] == [
             ("queued", "submitted", "anna"),
             ("queued", "held by anna", "anna"),
@@ -122,22 +129,22 @@ def test_what_is_asked_of_a_job_in_another_state_is_refused() -> None:
         running, queued = await client.submit(GANTRY), await client.submit(SHORT)
         await fleet.until(lambda states: states["gantry"].mode == "moving")
         for asked, code in (
-            (client.hold(running), "not-queued"),
-            (client.move(running, before=queued), "not-queued"),
-            (client.move(queued, before=queued), "same-job"),
-            (client.pause(queued), "not-running"),
-            (client.resume(queued), "not-running"),
-            (client.resume(running), "not-paused"),
-            (client.again(running), "not-ended"),
-            (client.hold("nothing"), "unknown-job"),
+            (client.hold_jobs(running), "not-queued"),
+            (client.reorder_job(running, before=queued), "not-queued"),
+            (client.reorder_job(queued, before=queued), "same-job"),
+            (client.pause_job(queued), "not-running"),
+            (client.resume_job(queued), "not-running"),
+            (client.resume_job(running), "not-paused"),
+            (client.retry_job(running), "not-ended"),
+            (client.hold_jobs("nothing"), "unknown-job"),
         ):
-            with pytest.raises(Refused) as caught:
+            with pytest.raises(Refusal) as caught:
                 await asked
-            assert caught.value.refusal.code == code
-        await client.cancel(running)
-        await client.wait(queued)
-        with pytest.raises(Refused, match="is done already"):
-            await client.pause(queued)
+            assert caught.value.code == code
+        await client.cancel_job(running)
+        await client.wait_for_job(queued)
+        with pytest.raises(Refusal, match="is done already"):
+            await client.pause_job(queued)
 
     run_fleet(main)
 
@@ -147,22 +154,22 @@ def test_after_another_job() -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE)
         first = await client.submit(GANTRY)
-        then = await client.submit(STAGE, terms=Terms(after=first))
+        then = await client.submit(STAGE, terms=QueueTerms(after=first))
         assert (await entry(client, then)).reason == f"begins when job {first} is done"
         assert await begins(client, first, then) == [first, then]
-        late = await client.submit(STAGE, terms=Terms(after=first))
-        assert (await client.wait(late)).state == "done"
+        late = await client.submit(STAGE, terms=QueueTerms(after=first))
+        assert (await client.wait_for_job(late)).state == "done"
         failing = await client.submit(job("[{do: dwell, duration: 1 s}, {do: move, to: {gantry.x: 999}}]"))
-        one = await client.submit(SHORT, terms=Terms(after=failing))
-        two = await client.submit(SHORT, terms=Terms(after=one))
-        report = await client.wait(two)
+        one = await client.submit(SHORT, terms=QueueTerms(after=failing))
+        two = await client.submit(SHORT, terms=QueueTerms(after=one))
+        report = await client.wait_for_job(two)
         assert report.state == "cancelled"
         assert report.reason.startswith(f"job {one}, which must be done before, is cancelled: job {failing}")
         assert "soft limits" in report.reason
         for unknown, code in ((failing, "not-done"), ("nothing", "unknown-job")):
-            with pytest.raises(Refused) as caught:
-                await client.submit(SHORT, terms=Terms(after=unknown))
-            assert caught.value.refusal.code == code
+            with pytest.raises(Refusal) as caught:
+                await client.submit(SHORT, terms=QueueTerms(after=unknown))
+            assert caught.value.code == code
 
     run_fleet(main)
 
@@ -172,13 +179,13 @@ def test_a_job_is_repeated() -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE)
         before = fleet.controllers["gantry"].position("Y")
-        report = await client.wait(await client.submit(SHORT, terms=Terms(repeat=3)))
+        report = await client.wait_for_job(await client.submit(SHORT, terms=QueueTerms(repeat=3)))
         assert report.state == "done", report.reason
         assert [step.index for step in report.steps] == [0, 1, 2]
         assert fleet.controllers["gantry"].position("Y") == before + 3000
-        with pytest.raises(Refused) as caught:
-            await client.submit(GANTRY, terms=Terms(repeat=10_000))
-        assert caught.value.refusal.text == "2 steps 10000 times are 20000; 10000 are possible"
+        with pytest.raises(Refusal) as caught:
+            await client.submit(GANTRY, terms=QueueTerms(repeat=10_000))
+        assert caught.value.text == "2 steps, 10000 times, are 20000; the maximum is 10000"
 
     run_fleet(main)
 
@@ -189,19 +196,19 @@ def test_pause_at_the_end_of_a_step_and_resume() -> None:
         await outcome(fleet, PREPARE)
         job_id = await anna.submit(GANTRY)
         await fleet.until(lambda states: states["gantry"].mode == "moving")
-        await ben.pause(job_id)
+        await ben.pause_job(job_id)
         await fleet.until(lambda states: states["gantry"].mode == "idle")
         await asyncio.sleep(5.0)
         shown = await entry(anna, job_id)
-        assert shown.state == "holding"
+        assert shown.state == "paused"
         assert fleet.controllers["gantry"].position("X") == 300_000
         # Its axes stay its own.
-        with pytest.raises(Refused, match="is in use by anna"):
-            await ben.by_hand(["gantry.x"]).take()
-        await anna.resume(job_id)
-        report = await anna.wait(job_id)
+        with pytest.raises(Refusal, match="is in use by anna"):
+            await ben.manual_control(["gantry.x"]).acquire()
+        await anna.resume_job(job_id)
+        report = await anna.wait_for_job(job_id)
         assert report.state == "done", report.reason
-        holding = next(each for each in report.transitions if each.state == "holding")
+        holding = next(each for each in report.transitions if each.state == "paused")
         assert (holding.reason, holding.actor) == ("paused by ben after step 0", "ben")
         resumed = report.transitions[report.transitions.index(holding) + 1]
         assert (resumed.state, resumed.reason, resumed.actor) == ("running", "resumed by anna", "anna")
@@ -219,23 +226,23 @@ def test_an_ended_job_is_done_again_from_a_step() -> None:
             )
         )
         await asyncio.sleep(5.0)
-        await client.cancel(job_id)
-        assert (await client.wait(job_id)).state == "cancelled"
+        await client.cancel_job(job_id)
+        assert (await client.wait_for_job(job_id)).state == "cancelled"
         await fleet.until(lambda states: states["gantry"].mode == "idle")
-        shown = await client.again(job_id, 1, dry_run=True)
+        shown = await client.retry_job(job_id, 1, dry_run=True)
         here = fleet.controllers["gantry"].position("X") / 1000
         assert 30 < here < 390
         assert [(each.axis, each.position) for each in shown.axes] == [("gantry.x", here), ("gantry.y", 0.0)]
         assert shown.steps == ["1 move to gantry.x=390, speed=0.1", "2 move by gantry.y=2"]
-        assert shown.warnings == ["step 2 moves gantry.y by a distance, from where it stands now"]
-        assert len((await client.jobs()).jobs) == 2
-        fresh = (await client.again(job_id, 1, client_key="k")).job_id
-        assert (await client.again(job_id, 1, client_key="k")).job_id == fresh
-        report = await client.wait(fresh)
+        assert shown.warnings == ["step 2 moves gantry.y by a distance, from the current position"]
+        assert len((await client.list_jobs()).jobs) == 2
+        fresh = (await client.retry_job(job_id, 1, client_key="k")).job_id
+        assert (await client.retry_job(job_id, 1, client_key="k")).job_id == fresh
+        report = await client.wait_for_job(fresh)
         assert (report.state, report.origin, report.from_step) == ("done", job_id, 1), report.reason
         assert [step.index for step in report.steps] == [1, 2]
-        with pytest.raises(Refused, match="has the steps 0 to 2"):
-            await client.again(job_id, 3)
+        with pytest.raises(Refusal, match="has the steps 0 to 2"):
+            await client.retry_job(job_id, 3)
 
     run_fleet(main)
 
@@ -247,12 +254,12 @@ def test_after_a_stop_nothing_begins_by_itself() -> None:
         running, beside, queued = [await client.submit(each) for each in (GANTRY, STAGE, SHORT)]
         await fleet.until(lambda states: all(state.mode == "moving" for state in states.values()))
         await client.stop()
-        assert [(await client.wait(each)).state for each in (running, beside)] == ["aborted", "aborted"]
+        assert [(await client.wait_for_job(each)).state for each in (running, beside)] == ["aborted", "aborted"]
         await asyncio.sleep(2.0)
         assert (await entry(client, queued)).reason == "held by anna"
         assert (await outcome(fleet, STAGE)).state == "done"
-        await client.release(queued)
-        assert (await client.wait(queued)).state == "done"
+        await client.release_jobs(queued)
+        assert (await client.wait_for_job(queued)).state == "done"
 
     run_fleet(main)
 
@@ -266,7 +273,7 @@ def test_after_an_estop_and_its_reset_nothing_goes_on_by_itself() -> None:
         await asyncio.sleep(1.0)
         await client.estop("a test")
         await client.reset()
-        report = await client.wait(waits)
+        report = await client.wait_for_job(waits)
         assert (report.state, report.reason) == ("aborted", "e-stop by anna: a test")
         assert len(report.steps) == 2
         assert (await entry(client, queued)).held_by == "anna"

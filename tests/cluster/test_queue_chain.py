@@ -31,13 +31,15 @@ def test_jobs_on_units_of_one_chain_do_not_disturb_each_other(hold_ms: int) -> N
         async def work(controller: str) -> None:
             unit = fleet.controllers[controller]
             for _ in range(6):
-                before = len(unit.motions)
+                before = len(unit.commanded_motions)
                 target, speed = draw.randint(5, 60), draw.choice((0.3, 1.0))
                 steps = f"[{{do: move, to: {{{controller}.x: {target}}}, speed: {speed}}}]"
-                report = await client.wait(await client.submit(job(steps)))
+                report = await client.wait_for_job(await client.submit(job(steps)))
                 assert report.state == "done", report.reason
-                spans[controller] += [(motion.start_ns, motion.end_ns or 0) for motion in unit.motions[before:]]
-                for motion in unit.motions[before:]:
+                spans[controller] += [
+                    (motion.start_ns, motion.end_ns or 0) for motion in unit.commanded_motions[before:]
+                ]
+                for motion in unit.commanded_motions[before:]:
                     start = report.steps[0].members[controller].evidence["x"].start
                     assert start.earliest_ns <= motion.start_ns - origin_ns <= start.latest_ns
                 await asyncio.sleep(draw.random())

@@ -9,11 +9,11 @@ import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.bus.base import RequestRefused
-from orchestrator.client.api import Refused
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.fleet.leases import LeaseBook
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply
-from orchestrator.model.queue import Terms
+from orchestrator.model.queue import QueueTerms
 from orchestrator.runtime.virtual import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
@@ -29,20 +29,20 @@ SERVICE: dict[str, dict[str, Any]] = {
     "cancel": {"job_id": "x"},
     "retry": {"job_id": "x", "from_step": 1, "client_key": "k2", "terms": None, "dry_run": True},
     "hold": {"job_ids": ["x"]},
-    "release-job": {"job_ids": ["x"]},
-    "move": {"job_id": "x", "before": "y"},
+    "release": {"job_ids": ["x"]},
+    "reorder": {"job_id": "x", "before": "y"},
     "pause": {"job_id": "x"},
     "resume": {"job_id": "x"},
     "prune": {"older_s": 1e9, "keep": 10},
     "stop": {"mode": "decelerate"},
-    "take": {"axes": ["gantry.x"], "holder": "hand-1", "what": "w", "ttl_s": 0.5, "reserve": False},
-    "release": {"holder": "hand-1"},
+    "acquire-axes": {"axes": ["gantry.x"], "holder": "manual-1", "what": "w", "ttl_s": 0.5, "reserve": False},
+    "release-axes": {"holder": "manual-1"},
     "reload": {"configuration": demo_fleet().to_plain()},
     "check-wiring": {},
 }
 COMMANDS: dict[str, dict[str, Any]] = {
-    "adopt": {"reign": {}},
-    "lease": {"axes": ["x"], "holder": "hand-1", "ttl_ms": 1000},
+    "adopt": {"leader": {}},
+    "lease": {"axes": ["x"], "holder": "manual-1", "ttl_ms": 1000},
     "propose": {"job": "j", "step": 0, "digest": "", "duration_s": 1.0, "profiles": {}},
     "arm": {"job": "j", "step": 0, "digest": "", "t0_fleet_ns": 1, "profiles": {}},
     "commit": {"job": "j", "step": 0, "t0_fleet_ns": 1},
@@ -51,7 +51,7 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "stop": {"mode": "abort", "reason": "r"},
     "enable": {"axes": ["x"], "on": False, "holder": "h"},
     "home": {"axes": ["x"], "holder": "h"},
-    "jog": {"holder": "hand-1", "seq": 1, "velocities": {"x": 1.0}, "valid_ms": 100},
+    "jog": {"holder": "manual-1", "seq": 1, "velocities": {"x": 1.0}, "valid_ms": 100},
     "set-position": {"axes": ["x"], "holder": "h", "position": "1 mm"},
     "output": {"output": "lamp", "value": True},
     "configure": {"configuration": {}, "check": True},
@@ -123,10 +123,10 @@ def test_no_payload_ends_the_service(verb: str) -> None:
         for payload in payloads:
             await ask(fleet, fleet.keys.svc(verb), payload)
         client = fleet.client()
-        await client.release()
-        while waiting := (await client.jobs(state="queued")).jobs:
+        await client.release_jobs()
+        while waiting := (await client.list_jobs(state="queued")).jobs:
             for each in waiting:
-                await client.cancel(each.id)
+                await client.cancel_job(each.id)
         assert (await outcome(fleet, PREPARE, SHORT)).state == "done"
 
     run_fleet(main)
@@ -135,8 +135,8 @@ def test_no_payload_ends_the_service(verb: str) -> None:
 def test_every_key_of_the_service_is_tried() -> None:
     async def main(fleet: VirtualFleet) -> None:
         coordinator: Coordinator = fleet.coordinators["first"][1]
-        assert set(SERVICE) == set(coordinator._verbs)  # pyright: ignore[reportPrivateUsage]
-        with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known: cancel"):
+        assert set(SERVICE) == set(coordinator._requests._verbs)  # pyright: ignore[reportPrivateUsage]
+        with pytest.raises(RequestRefused, match="unknown verb 'nothing'; known verbs: acquire-axes, cancel"):
             await fleet.client().bus.request(fleet.keys.svc("nothing"), b"{}", timeout_s=1.0)
 
     run_fleet(main)
@@ -146,7 +146,7 @@ def test_every_key_of_the_service_is_tried() -> None:
 def test_no_payload_ends_an_adapter(controller: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        throne = fleet.coordinators["first"][1].throne
+        throne = fleet.coordinators["first"][1].leadership
         for verb, more in COMMANDS.items():
             draw = Random(verb)
             good = HEAD | more
@@ -168,11 +168,11 @@ def test_a_thousand_cancels_at_once() -> None:
         running = await client.submit(LONG)
         jobs = [running, *[await client.submit(SHORT) for _ in range(9)]]
         await fleet.until(lambda states: states["gantry"].mode == "moving")
-        asked = [client.cancel(jobs[number % 10]) for number in range(1000)]
+        asked = [client.cancel_job(jobs[number % 10]) for number in range(1000)]
         answers = await asyncio.gather(*asked, return_exceptions=True)
-        assert all(each is None or isinstance(each, Refused) for each in answers)
+        assert all(each is None or isinstance(each, Refusal) for each in answers)
         for each in jobs:
-            report = await client.wait(each)
+            report = await client.wait_for_job(each)
             assert report.state == "cancelled"
             assert [change.state for change in report.transitions].count("cancelled") == 1
         assert (await outcome(fleet, SHORT)).state == "done"
@@ -192,7 +192,7 @@ def test_a_client_that_vanishes_after_its_submission() -> None:
             fleet.net.kill(client.bus.name)  # type: ignore[attr-defined]
             submission.cancel()
         await asyncio.sleep(20)
-        jobs = (await fleet.client().jobs(state="done", name="test")).jobs
+        jobs = (await fleet.client().list_jobs(state="done", name="test")).jobs
         moved = len(jobs) - 1  # without the preparation
         assert 1 <= moved <= 5
         assert fleet.controllers["gantry"].position("Y") == before + 1000 * moved
@@ -205,26 +205,31 @@ def test_a_journal_that_can_not_be_written_refuses_and_forgets_nothing() -> None
         client = fleet.client()
         await outcome(fleet, PREPARE)
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
-        moving, queued = await client.submit(LONG), await client.submit(SHORT, terms=Terms(held=True))
+        moving, queued = await client.submit(LONG), await client.submit(SHORT, terms=QueueTerms(held=True))
         await fleet.until(lambda states: states["gantry"].mode == "moving")
         db.execute("PRAGMA query_only=ON")
-        for asked in (client.submit(SHORT), client.cancel(queued), client.hold(queued), client.release(queued)):
-            if asked.__name__ == "hold":
+        for asked in (
+            client.submit(SHORT),
+            client.cancel_job(queued),
+            client.hold_jobs(queued),
+            client.release_jobs(queued),
+        ):
+            if asked.__name__ == "hold_jobs":
                 await asked  # it is held already: nothing to note
                 continue
-            with pytest.raises(Refused, match="readonly database") as caught:
+            with pytest.raises(Refusal, match="readonly database") as caught:
                 await asked
-            assert caught.value.refusal.code == "journal"
-            assert "make room" in caught.value.refusal.remedy
+            assert caught.value.code == "journal"
+            assert "free space" in caught.value.remedy
         # What moves can be stopped, whatever the journal says.
         await client.stop()
         await fleet.until(lambda states: states["gantry"].mode == "idle")
         await asyncio.sleep(30)
         db.execute("PRAGMA query_only=OFF")
         await asyncio.sleep(10)
-        assert (await client.wait(moving)).state == "aborted"
-        await client.release(queued)
-        assert (await client.wait(queued)).state == "done"
+        assert (await client.wait_for_job(moving)).state == "aborted"
+        await client.release_jobs(queued)
+        assert (await client.wait_for_job(queued)).state == "done"
 
     run_fleet(main)
 
@@ -238,11 +243,11 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
         client = fleet.client()
         await outcome(fleet, PREPARE)
         db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
-        held = await client.submit(SHORT, terms=Terms(held=True))
+        held = await client.submit(SHORT, terms=QueueTerms(held=True))
         before = fleet.controllers["gantry"].position("Y")
-        take, taken, released = LeaseBook.take, asyncio.Event(), asyncio.Event()
+        take, taken, released = LeaseRegistry.acquire, asyncio.Event(), asyncio.Event()
 
-        async def take_as_the_disk_fails(leases: LeaseBook, *who: Any) -> Any:
+        async def take_as_the_disk_fails(leases: LeaseRegistry, *who: Any) -> Any:
             axes = await take(leases, *who)
             if not begun and not taken.is_set():
                 await released.wait()
@@ -250,9 +255,9 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
             taken.set()
             return axes
 
-        monkeypatch.setattr(LeaseBook, "take", take_as_the_disk_fails)
+        monkeypatch.setattr(LeaseRegistry, "acquire", take_as_the_disk_fails)
         blocked = await client.submit(job("[{do: dwell, duration: 2 s}, {do: move, by: {gantry.y: 1}}]"))
-        await client.release(held)
+        await client.release_jobs(held)
         released.set()
         while begun and (await blocked.show()).transitions[-1].state != "running":
             await asyncio.sleep(0.01)
@@ -261,7 +266,7 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
         await asyncio.sleep(20)
         assert fleet.controllers["gantry"].position("Y") == before
         db.execute("PRAGMA query_only=OFF")
-        states = [(await client.wait(each)).state for each in (blocked, held)]
+        states = [(await client.wait_for_job(each)).state for each in (blocked, held)]
         assert states == ["failed" if begun else "done", "done"]
         assert fleet.controllers["gantry"].position("Y") == before + (1000 if begun else 2000)
 
@@ -272,7 +277,7 @@ def test_a_job_does_not_begin_while_the_journal_can_not_say_so(monkeypatch: pyte
 def test_no_quantity_is_too_large_to_be_refused(value: Any) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        throne = fleet.coordinators["first"][1].throne
+        throne = fleet.coordinators["first"][1].leadership
         for step in ({"do": "move", "to": {"gantry.x": value}}, {"do": "set-position", "axes": {"gantry.x": value}}):
             plain = {**SHORT.to_plain(), "steps": [step]}
             request = {**HEAD, "job": plain, "client_key": str(step)}

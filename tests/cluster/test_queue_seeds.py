@@ -9,9 +9,9 @@ from random import Random
 import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
-from orchestrator.client.api import Refused
-from orchestrator.model.queue import Terms
-from orchestrator.model.report import ENDED, JobReport
+from orchestrator.model.errors import Refusal
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import FINISHED_STATES, JobReport
 from orchestrator.runtime.virtual import VirtualFleet
 
 # By name: axes, and the counts that one run moves them by.
@@ -38,27 +38,27 @@ def test_no_seed_forgets_a_job_or_runs_it_twice(seed: int) -> None:
             known = list(accepted)
             some = draw.choice(known) if known else ""
             act = draw.random() if known else 0.0
-            with suppress(Refused):
+            with suppress(Refusal):
                 if act < 0.5:
                     kind = draw.choice("ggssb")
-                    terms = Terms(
+                    terms = QueueTerms(
                         priority=draw.choice((0, 0, 0, 3)),
                         held=draw.random() < 0.1,
                         after=some if some and draw.random() < 0.1 else None,
                     )
                     accepted[await client.submit(job(KINDS[kind][0]), f"k{number}", terms)] = kind
                 elif act < 0.58:
-                    await client.cancel(some)
+                    await client.cancel_job(some)
                 elif act < 0.64:
-                    await client.hold(some)
+                    await client.hold_jobs(some)
                 elif act < 0.72:
-                    await client.release()
+                    await client.release_jobs()
                 elif act < 0.78:
-                    await client.move(some, before=draw.choice(known))
+                    await client.reorder_job(some, before=draw.choice(known))
                 elif act < 0.86:
-                    await client.pause(some)
+                    await client.pause_job(some)
                 elif act < 0.94:
-                    await client.resume(some)
+                    await client.resume_job(some)
                 elif reigns < 2:
                     reigns += 1
                     fleet.kill("coordinator/first")
@@ -77,17 +77,17 @@ async def finish(fleet: VirtualFleet, job_ids: list[str]) -> dict[str, JobReport
     """Let everything go on to its end."""
     client = fleet.client("ben")
     for _ in range(600):
-        await client.release()
-        for each in (await client.jobs(10_000)).jobs:
-            if each.state not in ENDED:
-                with suppress(Refused):
-                    await client.resume(each.id)
-        if not (await fleet.client().jobs(1, state="queued")).jobs and all(
-            (each.state in ENDED) for each in (await client.jobs(10_000)).jobs
+        await client.release_jobs()
+        for each in (await client.list_jobs(10_000)).jobs:
+            if each.state not in FINISHED_STATES:
+                with suppress(Refusal):
+                    await client.resume_job(each.id)
+        if not (await fleet.client().list_jobs(1, state="queued")).jobs and all(
+            (each.state in FINISHED_STATES) for each in (await client.list_jobs(10_000)).jobs
         ):
             break
         await asyncio.sleep(0.5)
-    return {each: await client.wait(each) for each in job_ids}
+    return {each: await client.wait_for_job(each) for each in job_ids}
 
 
 def judge(
@@ -100,7 +100,7 @@ def judge(
     broken = set[str]()
     for job_id, report in reports.items():
         states = [change.state for change in report.transitions]
-        assert sum(state in ENDED for state in states) == 1, states
+        assert sum(state in FINISHED_STATES for state in states) == 1, states
         assert states.count("committed") <= 1, states
         for name, counts in KINDS[accepted[job_id]][1].items():
             if report.started_utc is not None:

@@ -6,10 +6,11 @@ from datetime import timedelta
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, run_fleet
 
-from orchestrator.client.api import Refused, Tutti
+from orchestrator.client.api import Tutti
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
-from orchestrator.model.queue import Terms, format_utc, parse_utc
-from orchestrator.model.report import Lease, QueueEntry
+from orchestrator.model.queue import QueueTerms, format_utc, parse_utc
+from orchestrator.model.report import LeaseState, QueueEntry
 from orchestrator.runtime.virtual import VirtualFleet
 
 SHORT = job("[{do: move, by: {gantry.y: 1}}]")
@@ -17,7 +18,7 @@ LONG = job("[{do: move, to: {gantry.x: 390}, speed: 0.1}]")
 
 
 async def entry(client: Tutti, job_id: str) -> QueueEntry:
-    found = (await client.show(job_id)).entry
+    found = (await client.show_job(job_id)).entry
     assert found is not None
     return found
 
@@ -41,16 +42,16 @@ def test_a_job_begins_at_its_time() -> None:
         await outcome(fleet, PREPARE)
         at = soon(fleet, 30)
         local = parse_utc(at).astimezone().isoformat()
-        waits = await client.enqueue(SHORT, terms=Terms(at=local, priority=9))
+        waits = await client.enqueue_job(SHORT, terms=QueueTerms(at=local, priority=9))
         assert (waits.terms.at, waits.reason) == (at, "submitted")
         # It is in nobody's way until then.
         assert (await outcome(fleet, SHORT)).state == "done"
         assert (await entry(client, waits.id)).reason == f"begins at {at}"
-        report = await client.wait(waits.id)
+        report = await client.wait_for_job(waits.id)
         assert report.state == "done"
         assert report.started_utc is not None
         assert timedelta() <= parse_utc(report.started_utc) - parse_utc(at) < timedelta(milliseconds=50)
-        assert [each.reason for each in report.transitions[:2]] == ["submitted", f"{at} has come"]
+        assert [each.reason for each in report.transitions[:2]] == ["submitted", f"start time {at} has come"]
 
     run_fleet(main)
 
@@ -58,18 +59,20 @@ def test_a_job_begins_at_its_time() -> None:
 def test_a_time_that_is_past_or_that_nobody_can_tell_is_refused() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
-        with pytest.raises(Refused, match="is past; it is") as caught:
-            await client.submit(SHORT, terms=Terms(at=soon(fleet, -60)))
-        assert caught.value.refusal.code == "past"
-        report = await client.wait(await client.submit(SHORT, terms=Terms(at=soon(fleet, -60), missed="run")))
+        with pytest.raises(Refusal, match="is in the past; it is now") as caught:
+            await client.submit(SHORT, terms=QueueTerms(at=soon(fleet, -60)))
+        assert caught.value.code == "past"
+        report = await client.wait_for_job(
+            await client.submit(SHORT, terms=QueueTerms(at=soon(fleet, -60), missed="run"))
+        )
         assert report.transitions[1].reason.startswith("begins late")
         # A repeated request has its answer, however late it is.
-        first = await client.submit(SHORT, "key", Terms(at=soon(fleet, 1)))
+        first = await client.submit(SHORT, "key", QueueTerms(at=soon(fleet, 1)))
         await asyncio.sleep(60)
-        assert await client.submit(SHORT, "key", Terms(at=soon(fleet, -59))) == first
+        assert await client.submit(SHORT, "key", QueueTerms(at=soon(fleet, -59))) == first
         for text in ("2026-11-21T22:00:00", "at noon", "0001-01-01T00:00:00+14:00"):
             with pytest.raises(ValueError, match=r"offset|RFC 3339|calendar"):
-                Terms(at=text)
+                QueueTerms(at=text)
 
     run_fleet(main)
 
@@ -81,13 +84,13 @@ def test_a_time_that_comes_while_nobody_reigns(away_s: float, missed: str, state
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.client()
         await outcome(fleet, PREPARE)
-        terms = Terms.model_validate({"at": soon(fleet, 2), "missed": missed})
+        terms = QueueTerms.model_validate({"at": soon(fleet, 2), "missed": missed})
         waits = await client.submit(SHORT, terms=terms)
         await restart(fleet, "second", away_s)
-        report = await client.wait(waits)
+        report = await client.wait_for_job(waits)
         assert report.state == state, report.reason
         if state == "cancelled":
-            assert report.reason == f"missed: no coordinator was there at {terms.at}"
+            assert report.reason == f"missed: no leader was active at {terms.at}"
 
     run_fleet(main)
 
@@ -97,14 +100,18 @@ def test_the_queue_outlives_the_coordinator() -> None:
         client = fleet.client("anna")
         await outcome(fleet, PREPARE)
         running = await client.submit(LONG)
-        a, b, c = [await client.submit(SHORT, terms=terms) for terms in (Terms(), Terms(), Terms(held=True))]
-        then = await client.submit(SHORT, terms=Terms(after=running))
-        await client.move(b, before=a)
+        a, b, c = [
+            await client.submit(SHORT, terms=terms) for terms in (QueueTerms(), QueueTerms(), QueueTerms(held=True))
+        ]
+        then = await client.submit(SHORT, terms=QueueTerms(after=running))
+        await client.reorder_job(b, before=a)
         await fleet.until(lambda states: states["gantry"].mode == "moving")
         await restart(fleet, "second", 2)
-        assert (await client.wait(running)).state == "interrupted"
-        assert (await client.wait(then)).reason.startswith(f"job {running}, which must be done before, is interrupted")
-        reports = [await client.wait(each) for each in (b, a)]
+        assert (await client.wait_for_job(running)).state == "interrupted"
+        assert (await client.wait_for_job(then)).reason.startswith(
+            f"job {running}, which must be done before, is interrupted"
+        )
+        reports = [await client.wait_for_job(each) for each in (b, a)]
         assert [each.state for each in reports] == ["done", "done"]
         assert (reports[0].started_utc or "") < (reports[1].started_utc or "")
         assert (await entry(client, c)).held_by == "anna"
@@ -121,7 +128,7 @@ def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> Non
     async def main(fleet: VirtualFleet) -> None:
         anna, ben = fleet.client("anna"), fleet.client("ben")
         await outcome(fleet, PREPARE)
-        taken, holder = await anna.reserve(["gantry.x"], 3600, "new belt")
+        taken, holder = await anna.reserve_axes(["gantry.x"], 3600, "new belt")
         assert taken == ["gantry.x", "gantry.y"]
         waiting = await ben.submit(SHORT)
         # Who works at the machine opens the door, and closes it again.
@@ -132,14 +139,16 @@ def test_axes_taken_for_work_stay_taken_over_an_open_door_and_a_restart() -> Non
         assert not (await ben.status())["gantry"].leases
         await restart(fleet, "second", 2)
         assert (await entry(ben, waiting)).reason == "waits for gantry: in use by anna (new belt)"
-        assert [(each.controller, each.actor) for each in await ben.leases() if each.holder] == [("gantry", "anna")]
-        with pytest.raises(Refused, match="is in use by anna"):
-            await ben.reserve(["gantry"], 60)
+        assert [(each.controller, each.actor) for each in await ben.list_leases() if each.holder] == [
+            ("gantry", "anna")
+        ]
+        with pytest.raises(Refusal, match="is in use by anna"):
+            await ben.reserve_axes(["gantry"], 60)
         with pytest.raises(ValueError, match="pattern"):
-            await ben.give_back(waiting)
-        await ben.give_back(holder)
-        assert (await ben.wait(waiting)).state == "done"
-        assert fleet.journal.reserved() == []
+            await ben.release_axes(waiting)
+        await ben.release_axes(holder)
+        assert (await ben.wait_for_job(waiting)).state == "done"
+        assert fleet.journal.list_reservations() == []
 
     run_fleet(main, guarded)
 
@@ -148,15 +157,15 @@ def test_axes_taken_for_a_time_come_free_by_themselves() -> None:
     async def main(fleet: VirtualFleet) -> None:
         anna = fleet.client("anna")
         await outcome(fleet, PREPARE)
-        await anna.reserve(["gantry"], 10)
-        heard: list[Lease] = []
+        await anna.reserve_axes(["gantry"], 10)
+        heard: list[LeaseState] = []
         await anna.bus.subscribe(
-            anna.keys.leases, lambda sample: heard.append(Lease.model_validate_json(sample.payload))
+            anna.keys.leases, lambda sample: heard.append(LeaseState.model_validate_json(sample.payload))
         )
         before_ns = fleet.clock.now_ns()
         assert (await outcome(fleet, SHORT)).state == "done"
         assert 9e9 < fleet.clock.now_ns() - before_ns < 13e9
         assert (heard[0].holder, heard[0].what) == (None, "manual work")
-        assert fleet.journal.reserved() == []
+        assert fleet.journal.list_reservations() == []
 
     run_fleet(main)

@@ -25,15 +25,15 @@ SLOW = job(
 def test_all_end_together_as_was_predicted(seed: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        before = len(fleet.controllers["stage"].motions)
+        before = len(fleet.controllers["stage"].commanded_motions)
         report = await outcome(fleet, SLOW)
         assert report.state == "done", report.reason
         step = report.steps[0]
         assert step.budget is not None and step.budget.end is not None and step.budget.path is not None
-        made = fleet.controllers["stage"].motions[before:]
+        made = fleet.controllers["stage"].commanded_motions[before:]
         assert sorted(each.axis for each in made) == ["1", "1", "3", "3"]
         ends = [max(each.end_ns or 0 for each in made if each.axis == motor) for motor in "13"]
-        ends.append(fleet.controllers["gantry"].motions[-1].end_ns or 0)
+        ends.append(fleet.controllers["gantry"].commanded_motions[-1].end_ns or 0)
         assert max(ends) - min(ends) <= step.budget.end.predicted_ns
         # The plan is kept to 0.2 ms by the unit's own crystal, which is 31 ppm slow, over 24 s.
         started = min(each.start_ns for each in made)
@@ -56,9 +56,9 @@ def test_whatever_fails_before_or_behind_the_loading_of_the_second_move_all_come
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         stage, client = fleet.controllers["stage"], fleet.client()
-        before = len(stage.motions)
+        before = len(stage.commanded_motions)
         job_id = await client.submit(SLOW)
-        while len(stage.motions) == before:
+        while len(stage.commanded_motions) == before:
             await sleep_ns(fleet.clock, 500 * NS_PER_US)
         await sleep_ns(fleet.clock, after_ms * NS_PER_MS)
         wire = fleet.wires["stage"]
@@ -73,12 +73,14 @@ def test_whatever_fails_before_or_behind_the_loading_of_the_second_move_all_come
             fleet.within("stage", lambda unit: unit.set_power(False))
         else:
             await client.stop()
-        report = await client.wait(job_id)
+        report = await client.wait_for_job(job_id)
         assert report.state != "done"
         await sleep_ns(fleet.clock, 3 * NS_PER_S)
         assert fleet.controllers["gantry"].at_rest()
         if fault != "link-cut":  # nobody reaches it there: it may end what it holds
-            assert all(each.end_ns is not None for each in stage.motions)
-            assert len({each.axis for each in stage.motions[before:]}) == len(stage.motions[before:])
+            assert all(each.end_ns is not None for each in stage.commanded_motions)
+            assert len({each.axis for each in stage.commanded_motions[before:]}) == len(
+                stage.commanded_motions[before:]
+            )
 
     run_fleet(main, FLEET, seed=after_ms)

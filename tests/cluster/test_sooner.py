@@ -8,15 +8,19 @@ from typing import Any, cast
 import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 
-from adapters.controller.participant import STOPS_NS, Member
+from adapters.controller.participant import STOP_LEAD_NS, StepParticipant
 from orchestrator.bench.sync_fleets import smc2000, smc4000, sync_fleet
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.motion.moving import Moving
-from orchestrator.coordinator.motion.negotiation import SLIP, Proposing
+from orchestrator.coordinator.motion.negotiation import (
+    MAX_TICK_RESIDUAL,
+    StartAgreement,
+    StartNegotiation,
+    _find_advance,
+)
 from orchestrator.model.files import load_fleet
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import Go, Proposal, Reply
+from orchestrator.model.messages import GoRequest, Proposal, Reply
 from orchestrator.model.report import StepReport
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -37,13 +41,13 @@ async def moved(fleet: VirtualFleet, axes: list[str], way: float, **more: object
 def sooner_ns(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """By how much each step has begun sooner than it was armed for."""
     found: list[int] = []
-    settle = Proposing.settle
+    advance = StartNegotiation.advance
 
-    def noted(self: Proposing, moving: Moving, *rest: object) -> None:
-        settle(self, moving, *rest)  # pyright: ignore[reportArgumentType]
-        found.append(moving.sooner_ns)
+    def noted(self: StartNegotiation, agreement: StartAgreement, *rest: Any) -> None:
+        advance(self, agreement, *rest)
+        found.append(agreement.advance_ns)
 
-    monkeypatch.setattr(Proposing, "settle", noted)
+    monkeypatch.setattr(StartNegotiation, "advance", noted)
     return found
 
 
@@ -51,7 +55,7 @@ def begins_as_promised(fleet: VirtualFleet, step: StepReport) -> None:
     """Every member has begun where the budget of the step says, about the T0 that it tells."""
     assert step.budget is not None and step.t0_fleet_ns is not None
     for member, window in step.budget.members.items():
-        after_ns = fleet.controllers[member].motions[-1].start_ns - origin_host_ns(fleet) - step.t0_fleet_ns
+        after_ns = fleet.controllers[member].commanded_motions[-1].start_ns - origin_host_ns(fleet) - step.t0_fleet_ns
         assert window.earliest_ns <= after_ns <= window.latest_ns, (member, after_ns, window)
 
 
@@ -99,12 +103,12 @@ def test_who_begins_when_it_was_armed_to(
 
 def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() -> None:
     tick_ns, spare_ns = 976_562.5, 900 * NS_PER_MS
-    asking = Proposing(cast(Any, None), cast(Any, None))
 
     def sooner(*ticks_ns: float, sooner: bool = True) -> tuple[int, int]:
-        proposals = {name: Proposal(sooner=sooner, tick_ns=each) for name, each in zip("ab", ticks_ns, strict=True)}
-        moving = Moving("j", 0, "a", cast(Any, None), cast(Any, None), proposals=proposals, t0_fleet_ns=2 * NS_PER_S)
-        return asking._sooner(moving, 2 * NS_PER_S - spare_ns)  # pyright: ignore[reportPrivateUsage]
+        proposals = {
+            name: Proposal(can_advance=sooner, tick_ns=each) for name, each in zip("ab", ticks_ns, strict=True)
+        }
+        return _find_advance(StartAgreement(cast(Any, None), proposals=proposals), spare_ns)
 
     assert sooner(0.0, 0.0) == (spare_ns, 0)
     assert sooner(0.0, 0.0, sooner=False) == (0, 0)
@@ -112,35 +116,35 @@ def test_ticks_that_differ_are_brought_forward_as_far_as_they_keep_together() ->
     for ppm in (5.0, 50.0, 1000.0):
         forward_ns, off_ns = sooner(tick_ns * (1 - ppm * 1e-6), tick_ns * (1 + ppm * 1e-6))
         assert abs(forward_ns / tick_ns - round(forward_ns / tick_ns)) < 1e-5
-        assert ppm * 1e-6 * forward_ns <= off_ns <= SLIP * tick_ns + 2
+        assert ppm * 1e-6 * forward_ns <= off_ns <= MAX_TICK_RESIDUAL * tick_ns + 2
         # As far as there is time, or as a few hundredths of a tick allow.
-        assert min(spare_ns, SLIP * tick_ns / (ppm * 1e-6)) - forward_ns < 1.01 * tick_ns
+        assert min(spare_ns, MAX_TICK_RESIDUAL * tick_ns / (ppm * 1e-6)) - forward_ns < 1.01 * tick_ns
     assert sooner(1.1 * tick_ns, tick_ns) == (0, 0)
 
 
 @pytest.mark.parametrize("late_by_ms", [-50, 5])
 def test_who_is_late_to_go_is_armed_again_if_nobody_has_begun(monkeypatch: pytest.MonkeyPatch, late_by_ms: int) -> None:
     """The decision is taken back, and the next one is the step's only one. Who may have begun is not moved again."""
-    go, slow = Member.go, ["stage"]
+    go, slow = StepParticipant.start_step, ["stage"]
 
-    async def slowly(member: Member, request: Go) -> Reply:
+    async def slowly(member: StepParticipant, request: GoRequest) -> Reply:
         reply = await go(member, request)
-        ticket = member.ticket
+        ticket = member.armed_step
         if member._controller in slow and ticket is not None:
             slow.clear()
             # It has been released, and only its answer is late.
-            await sleep_ns(member._clock, ticket.t0_host_ns - STOPS_NS - member._clock.now_ns())
-            await sleep_ns(member._clock, max(0, late_by_ms * NS_PER_MS + STOPS_NS))
+            await sleep_ns(member._clock, ticket.t0_host_ns - STOP_LEAD_NS - member._clock.now_ns())
+            await sleep_ns(member._clock, max(0, late_by_ms * NS_PER_MS + STOP_LEAD_NS))
         return reply
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet, ["gantry", "stage"])
-        monkeypatch.setattr(Member, "go", slowly)
-        starts = {name: len(each.motions) for name, each in fleet.controllers.items()}
+        monkeypatch.setattr(StepParticipant, "start_step", slowly)
+        starts = {name: len(each.commanded_motions) for name, each in fleet.controllers.items()}
         report = await outcome(fleet, job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms"))
         assert not slow
-        made = {name: len(each.motions) - starts[name] for name, each in fleet.controllers.items()}
-        decided = fleet.journal.decisions(report.job_id)
+        made = {name: len(each.commanded_motions) - starts[name] for name, each in fleet.controllers.items()}
+        decided = fleet.journal.list_decisions(report.job_id)
         assert report.state == "done" and made == {"gantry": 1, "stage": 1}, (report.reason, made)
         assert decided == [(0, report.steps[0].t0_fleet_ns)]
         assert any("arming again with more lead" in line for line in fleet.lines)

@@ -18,14 +18,14 @@ def test_the_one_that_stands_by_takes_over_within_two_seconds_and_goes_on_with_t
         client = fleet.client()
         running, queued = await client.submit(MOVE), await client.submit(THEN)
         await sleep_ns(fleet.clock, 4 * NS_PER_S)
-        assert not fleet.coordinators["second"][1].throne.epoch
+        assert not fleet.coordinators["second"][1].leadership.epoch
         getattr(fleet, how)("coordinator/first")
         lost_ns = fleet.clock.now_ns()
-        second = fleet.coordinators["second"][1].throne
+        second = fleet.coordinators["second"][1].leadership
         await fleet.until(lambda states: all(each.epoch == second.epoch > 0 for each in states.values()))
         assert fleet.clock.now_ns() - lost_ns < TAKE_OVER_NS
-        assert (await client.wait(running)).state == "interrupted"
-        assert (await client.wait(queued)).state == "done"
+        assert (await client.wait_for_job(running)).state == "interrupted"
+        assert (await client.wait_for_job(queued)).state == "done"
         assert fleet.controllers["gantry"].position("X") == 20_000
         # Who wakes later finds itself ended, and does nothing.
         assert not fleet.coordinators["first"][0].alive
@@ -38,8 +38,8 @@ def test_the_one_that_stands_by_keeps_quiet_while_the_first_one_lives() -> None:
         fleet.start_coordinator("second", standby=True)
         assert (await outcome(fleet, PREPARE, THEN)).state == "done"
         await sleep_ns(fleet.clock, 30 * NS_PER_S)
-        assert not fleet.coordinators["second"][1].throne.epoch
+        assert not fleet.coordinators["second"][1].leadership.epoch
         states = await fleet.client().status()
-        assert {each.epoch for each in states.values()} == {fleet.coordinators["first"][1].throne.epoch}
+        assert {each.epoch for each in states.values()} == {fleet.coordinators["first"][1].leadership.epoch}
 
     run_fleet(main)

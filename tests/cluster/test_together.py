@@ -10,13 +10,13 @@ import pytest
 from cluster.test_queue_hostile import COMMANDS, HEAD, RAW, SHORT, ask, mutated
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from adapters.controller.commands import Commands
-from adapters.controller.participant import Member
+from adapters.controller.commands import ControllerCommands
+from adapters.controller.participant import StepParticipant
 from orchestrator.bus.base import RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.fleet.requests import Members
-from orchestrator.model.messages import Commit, EnableRequest, Reply, TogetherReply, TraceReply
+from orchestrator.coordinator.fleet.requests import MemberRequests
+from orchestrator.model.messages import BatchReply, CommitRequest, EnableRequest, Reply, TraceReply
 from orchestrator.model.messages import Request as Asked
 from orchestrator.runtime.virtual import VirtualFleet
 
@@ -24,24 +24,24 @@ BOTH = job("[{do: move, to: {gantry.x: 10, stage.u: 1}}]", max_start_skew="20 ms
 TRACE = {**HEAD, "request_id": "t"}
 
 
-async def together(fleet: VirtualFleet, verb: str, requests: dict[str, Any], within_ms: int = 1000) -> TogetherReply:
+async def together(fleet: VirtualFleet, verb: str, requests: dict[str, Any], within_ms: int = 1000) -> BatchReply:
     texts = {name: each if isinstance(each, str) else json.dumps(each) for name, each in requests.items()}
-    payload = json.dumps({"requests": texts, "within_ns": within_ms * NS_PER_MS}).encode()
+    payload = json.dumps({"requests": texts, "answer_within_ns": within_ms * NS_PER_MS}).encode()
     bus = fleet.client("asker").bus
     try:
         said = await bus.request(fleet.keys.together("local", verb), payload, timeout_s=5.0)
-        return TogetherReply.model_validate_json(said)
+        return BatchReply.model_validate_json(said)
     finally:
         await bus.close()
 
 
-def members(fleet: VirtualFleet) -> Members:
+def members(fleet: VirtualFleet) -> MemberRequests:
     coordinator: Coordinator = fleet.coordinators["first"][1]
-    return coordinator._members  # pyright: ignore[reportPrivateUsage]
+    return coordinator._fleet.requests  # pyright: ignore[reportPrivateUsage]
 
 
 def enabling(fleet: VirtualFleet, **axes: list[str]) -> dict[str, Asked]:
-    fields = members(fleet).fields("tester")
+    fields = members(fleet).request_fields("tester")
     return {name: EnableRequest(**fields, axes=each, holder="nobody", on=True) for name, each in axes.items()}
 
 
@@ -50,7 +50,7 @@ def test_no_payload_ends_a_host(verb: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         draw = Random(verb)
         inner = json.dumps(HEAD | COMMANDS.get(verb, {}))
-        good = {"requests": {"gantry": inner, "stage": inner}, "within_ns": 10**9}
+        good = {"requests": {"gantry": inner, "stage": inner}, "answer_within_ns": 10**9}
         payloads = [*RAW, *(mutated(draw, good) for _ in range(25))]
         # Broken inside, too: what one controller is asked.
         payloads += [
@@ -70,14 +70,14 @@ def test_no_payload_ends_a_host(verb: str) -> None:
 
 
 def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    trace = Commands._give_trace  # pyright: ignore[reportPrivateUsage]
+    trace = ControllerCommands._handle_trace  # pyright: ignore[reportPrivateUsage]
 
-    async def broken(commands: Commands, request: Asked) -> TraceReply:
-        if commands._seat.controller == "stage":  # pyright: ignore[reportPrivateUsage]
+    async def broken(commands: ControllerCommands, request: Asked) -> TraceReply:
+        if commands._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
             raise KeyError("a defect")
         return await trace(commands, request)
 
-    monkeypatch.setattr(Commands, "_give_trace", broken)
+    monkeypatch.setattr(ControllerCommands, "_handle_trace", broken)
 
     async def main(fleet: VirtualFleet) -> None:
         faults: list[dict[str, Any]] = []
@@ -100,13 +100,13 @@ def test_each_answers_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_who_is_slow_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
-    async def slow(commands: Commands, _: Asked) -> TraceReply:
-        made.append(commands._seat.controller)  # pyright: ignore[reportPrivateUsage]
+    async def slow(commands: ControllerCommands, _: Asked) -> TraceReply:
+        made.append(commands._context.controller)  # pyright: ignore[reportPrivateUsage]
         if made[-1] == "stage":
-            await sleep_ns(commands._seat.clock, 300 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
+            await sleep_ns(commands._context.clock, 300 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
         return TraceReply(entries=[], utc="", host_ns=0)
 
-    monkeypatch.setattr(Commands, "_give_trace", slow)
+    monkeypatch.setattr(ControllerCommands, "_handle_trace", slow)
 
     async def main(fleet: VirtualFleet) -> None:
         asked = {"gantry": TRACE, "stage": TRACE}
@@ -122,18 +122,18 @@ def test_who_is_slow_is_left_out_and_its_answer_is_kept(monkeypatch: pytest.Monk
 
 def test_a_step_asks_each_host_once_a_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, ...]] = []
-    plain, common = Members._answer, Members._ask_together  # pyright: ignore[reportPrivateUsage]
+    plain, common = MemberRequests._request_reply, MemberRequests._request_batch  # pyright: ignore[reportPrivateUsage]
 
-    async def alone(self: Members, member: str, verb: str, *rest: Any) -> Any:
+    async def alone(self: MemberRequests, member: str, verb: str, *rest: Any) -> Any:
         asked.append((verb, member))
         return await plain(self, member, verb, *rest)
 
-    async def with_others(self: Members, verb: str, requests: Any, *rest: Any) -> Any:
+    async def with_others(self: MemberRequests, verb: str, requests: Any, *rest: Any) -> Any:
         asked.append((verb, *requests))
         return await common(self, verb, requests, *rest)
 
-    monkeypatch.setattr(Members, "_answer", alone)
-    monkeypatch.setattr(Members, "_ask_together", with_others)
+    monkeypatch.setattr(MemberRequests, "_request_reply", alone)
+    monkeypatch.setattr(MemberRequests, "_request_batch", with_others)
     stages = ["lease", "propose", "arm", "commit", "go", "lease"]
 
     def run_on(hosts: dict[str, str], expected: list[tuple[str, ...]]) -> None:
@@ -155,34 +155,35 @@ def test_a_step_asks_each_host_once_a_stage(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_a_host_does_not_say_is_a_refusal_that_names_the_member(monkeypatch: pytest.MonkeyPatch) -> None:
-    commit = Member.commit
+    commit = StepParticipant.commit_step
 
-    async def silent(member: Member, request: Commit) -> Reply:
+    async def silent(member: StepParticipant, request: CommitRequest) -> Reply:
         if member._controller == "stage":  # pyright: ignore[reportPrivateUsage]
             await sleep_ns(member._clock, 500 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
         return await commit(member, request)
 
-    monkeypatch.setattr(Member, "commit", silent)
+    monkeypatch.setattr(StepParticipant, "commit_step", silent)
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         asks = members(fleet)
-        said = await asks.ask_all("enable", enabling(fleet, gantry=["x"], stage=["u"]), Reply)
+        said = await asks.request_all("enable", enabling(fleet, gantry=["x"], stage=["u"]), Reply)
         assert {each.refused.code for each in said.values() if each.refused} == {"not-leased"}
         commits = {
-            name: Commit(**asks.fields("tester"), job="j", step=0, t0_fleet_ns=0) for name in ("gantry", "stage")
+            name: CommitRequest(**asks.request_fields("tester"), job="j", step=0, t0_fleet_ns=0)
+            for name in ("gantry", "stage")
         }
-        said = await asks.ask_all("commit", commits, Reply, 0.2)
+        said = await asks.request_all("commit", commits, Reply, 0.2)
         codes = {name: each.refused.code for name, each in said.items() if each.refused}
         assert codes == {"gantry": "not-armed", "stage": "no-answer"}
         refused = said["stage"].refused
         assert (
             refused is not None and refused.member == "stage" and "has not answered commit within 0.2 s" in refused.text
         )
-        said = await asks.ask_all("nothing", commits, Reply, 0.2)
+        said = await asks.request_all("nothing", commits, Reply, 0.2)
         assert {each.refused.code for each in said.values() if each.refused} == {"bad-request"}
         fleet.kill("host/local")
-        said = await asks.ask_all("commit", commits, Reply, 0.2)
+        said = await asks.request_all("commit", commits, Reply, 0.2)
         codes = {name: each.refused.code for name, each in said.items() if each.refused}
         assert codes == {"gantry": "absent", "stage": "absent"}
 

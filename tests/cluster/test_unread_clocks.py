@@ -7,7 +7,7 @@ import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.bench.sync_fleets import ppsmc, shrc203, smc30
-from orchestrator.client.clocks import clocks
+from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual import VirtualFleet
@@ -32,10 +32,10 @@ def fleet(name: str, drift_ppm: float = FAST_PPM) -> Fleet:
 
 async def moved(world: VirtualFleet, to: float, speed: float) -> float:
     """Move there; by how much longer than planned it took, ms. The evidence holds the truth."""
-    before = len(world.controllers["u"].motions)
+    before = len(world.controllers["u"].commanded_motions)
     report = await outcome(world, job(f"[{{do: move, to: {{u.x: {to}}}, speed: {speed}}}]"))
     assert report.state == "done", report.reason
-    step, real = report.steps[0], world.controllers["u"].motions[before]
+    step, real = report.steps[0], world.controllers["u"].commanded_motions[before]
     evidence, origin_ns = step.members["u"].evidence["x"], origin_host_ns(world)
     assert evidence.start is not None and evidence.end is not None
     assert real.end_ns is not None and step.planned_s is not None
@@ -57,7 +57,7 @@ def test_after_a_minute_of_motion_a_move_ends_within_tenths_of_a_millisecond(
         errors_ms = [await moved(world, 0 if number % 2 else way, speed) for number in range(5)]
         assert errors_ms[0] == pytest.approx(-1.2, abs=0.05)
         assert all(abs(each) < least_ms for each in errors_ms[2:])
-        crystal = (await clocks(world.client()))["u"].crystal
+        crystal = (await query_clocks(world.client()))["u"].crystal
         assert crystal is not None and crystal.consistent and crystal.moves == 5
         assert abs(crystal.rate_ppm - FAST_PPM) < min(20, crystal.bound_ppm)
 

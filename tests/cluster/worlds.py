@@ -7,11 +7,11 @@ from typing import Any, TypeVar
 from orchestrator.bus.base import Sample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.files import load_fleet, load_job, parse
+from orchestrator.model.files import load_fleet, load_job, parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
-from orchestrator.model.messages import Refusal
-from orchestrator.model.report import JobReport, Lease
+from orchestrator.model.messages import RefusalDetails
+from orchestrator.model.report import JobReport, LeaseState
 from orchestrator.runtime.virtual import VirtualFleet
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -30,7 +30,7 @@ def demo_job() -> Job:
 def job(steps: str, **fields: str) -> Job:
     """A job from YAML steps."""
     head = "".join(f"{name}: {value}\n" for name, value in fields.items())
-    return parse(f"schema: tutti.job/1\nname: test\n{head}steps: {steps}\n", Job, "test")
+    return parse_document(f"schema: tutti.job/1\nname: test\n{head}steps: {steps}\n", Job, "test")
 
 
 PREPARE = job("[{do: enable, axes: [gantry, stage]}, {do: home}]")
@@ -73,7 +73,7 @@ def changed(fleet: Fleet, **controllers: dict[str, Any]) -> Fleet:
 
 def origin_host_ns(fleet: VirtualFleet) -> int:
     """The host instant at which fleet time is 0."""
-    return next(iter(fleet.coordinators.values()))[1].throne.scale.origin_host_ns
+    return next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
 
 
 async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -> dict[str, int]:
@@ -81,7 +81,7 @@ async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -
     leased_ns: dict[str, int] = {}
 
     def look(sample: Sample) -> None:
-        holder = Lease.model_validate_json(sample.payload).holder
+        holder = LeaseState.model_validate_json(sample.payload).holder
         leased_ns.setdefault(holder or "", fleet.clock.now_ns())
 
     await client.bus.subscribe(fleet.keys.lease(controller), look)
@@ -90,7 +90,7 @@ async def first_leases_ns(fleet: VirtualFleet, client: Tutti, controller: str) -
 
 def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
     """Whether every motion of `controller` that began before `at_ns` had ended by then."""
-    made = fleet.controllers[controller].motions
+    made = fleet.controllers[controller].commanded_motions
     return all(each.end_ns is not None and each.end_ns <= at_ns for each in made if each.start_ns < at_ns)
 
 
@@ -99,12 +99,12 @@ async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
     client = fleet.client()
     report = None
     for each in jobs:
-        report = await client.wait(await client.submit(each))
+        report = await client.wait_for_job(await client.submit(each))
     assert report is not None
     return report
 
 
-async def refusal(fleet: VirtualFleet, *jobs: Job) -> Refusal:
+async def refusal(fleet: VirtualFleet, *jobs: Job) -> RefusalDetails:
     """The refusal that the last step of the last of `jobs` ended with."""
     refused = (await outcome(fleet, *jobs)).steps[-1].refused
     assert refused is not None

@@ -9,22 +9,23 @@ from typing import Any
 
 from drivers_together import Together
 
-from adapters.contract import CannotDo, Driver, DriverFault, Firer, Lowered, Outcome, Setup, Span
+from adapters.contract import Driver, DriverSetup, HostInterval, Lowered, MoveOutcome, TimedWriter
 from adapters.host.host import find_make
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis, CanBusLink, Controller, SerialLink
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Branch, Motion, SimulatedController, Timing, build_line
+from sim.core.controller import CommandedMotion, DeviceSpec, FirmwareTiming, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
-from sim.core.vectors import simulator
+from sim.core.vectors import find_simulator
 
-AUTO = StartWay()
+AUTO = StartOptions()
 SERVO = {"unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
 STEPPER = {
     "unit": "mm",
@@ -95,7 +96,7 @@ PULSES = {
 }
 ORG = {"axes": 2, "hardware": ["io_port"], "org_steps": {"1": [-9000, -2000], "2": [-9000, -1500]}}
 STAGE = {"divide": 20, "speed": [100, 20000, 100]}
-CAN = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "unit": 3}
+CAN = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": 1_000_000, "address": 3}
 DRIVE = {**SERVO, "homing": {"method": "home_switch_negative"}}
 SMOOTH = {**DRIVE, "limits": {"velocity": 80, "acceleration": 400, "jerk": 8000}}
 PROMPT = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
@@ -124,7 +125,7 @@ CASES = {
     "smc2000 in a chain of three": replace(
         case(
             "smc2000",
-            {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200, "unit": 1},
+            {"kind": "serial", "device": "/dev/ttyS0", "baud": 19200, "address": 1},
             {"x": "X", "y": "Y"},
             SERVO,
             {"axes": 2, **YASKAWA},
@@ -148,7 +149,7 @@ CASES = {
         "smc30", SMC30_LINK, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": False}, "serial", checksum=False
     ),
     "smc30, seven on a bus with checksum": replace(
-        case("smc30", {**SMC30_LINK, "unit": 3}, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": True}, "serial"),
+        case("smc30", {**SMC30_LINK, "address": 3}, {"u": "1"}, STEPS, {**SMC30_ENDS, "checksum": True}, "serial"),
         beside=(1, 2, 4, 5, 6, 7),
     ),
     "ppsmc on TCP": case(
@@ -232,22 +233,24 @@ class World:
 
     def moving(self, axis: str) -> bool:
         controller, motor = self._its(axis)
-        return controller.moving(motor)
+        return controller.is_moving(motor)
 
     def positions(self) -> dict[str, float]:
         return {axis: self.position(axis) for axis in self.axes}
 
     def places(self) -> dict[str, float]:
-        return {axis: controller.place(motor) for axis in self.axes for controller, motor in [self._its(axis)]}
+        return {
+            axis: controller.physical_position(motor) for axis in self.axes for controller, motor in [self._its(axis)]
+        }
 
     @property
     def at_rest(self) -> bool:
         return not any(self.moving(axis) for axis in self.axes)
 
     @property
-    def motions(self) -> list[tuple[Unit, Motion]]:
+    def motions(self) -> list[tuple[Unit, CommandedMotion]]:
         """Every commanded motion, in order of start."""
-        every = [(unit, motion) for unit in self.units for motion in unit.controller.motions]
+        every = [(unit, motion) for unit in self.units for motion in unit.controller.commanded_motions]
         return sorted(every, key=lambda each: each[1].start_ns)
 
     # What an adapter does with it
@@ -256,8 +259,8 @@ class World:
         """Reached, compared, enabled, its clock known."""
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.load_limits(dict.fromkeys(self.axes))
-        await self.driver.enable(self.axes, True)
+        await self.driver.load_soft_limits(dict.fromkeys(self.axes))
+        await self.driver.set_enabled(self.axes, True)
         await self.poll(polls)
 
     async def leave(self) -> None:
@@ -285,27 +288,27 @@ class World:
         plan = plan_step(moves)
         return dict(plan.stretched(plan.duration_s * stretch).profiles)
 
-    async def arm(self, profiles: Mapping[str, Profile], how: StartWay = AUTO) -> tuple[Lowered, int]:
+    async def arm(self, profiles: Mapping[str, Profile], how: StartOptions = AUTO) -> tuple[Lowered, int]:
         """Lowered and loaded; with T0, which is as near as the make allows."""
-        mapping = self.driver.mapping()
-        lowered = self.driver.lower(profiles, how, mapping)
+        mapping = self.driver.clock_mapping()
+        lowered = self.driver.lower_profiles(profiles, how, mapping)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
         if mapping is not None:
             ahead = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
-            lowered = self.driver.lower(profiles, ahead, mapping)
-        await self.driver.arm(lowered, t0_ns, mapping)
+            lowered = self.driver.lower_profiles(profiles, ahead, mapping)
+        await self.driver.arm_move(lowered, t0_ns, mapping)
         return lowered, t0_ns
 
     async def move(
         self, targets: Mapping[str, float]
-    ) -> tuple[Lowered, Mapping[str, Span], Outcome, int, dict[str, Profile]]:
+    ) -> tuple[Lowered, Mapping[str, HostInterval], MoveOutcome, int, dict[str, Profile]]:
         """A whole step."""
         profiles = await self.plan(targets)
         lowered, t0_ns = await self.arm(profiles)
-        await self.driver.verify()
+        await self.driver.verify_armed()
         await self.driver.go()
-        started = await self.driver.started()
-        return lowered, started, await self.driver.outcome(), t0_ns, profiles
+        started = await self.driver.wait_for_start()
+        return lowered, started, await self.driver.wait_for_end(), t0_ns, profiles
 
     def line(self, active: bool) -> None:
         """Make the wired input active, or passive."""
@@ -322,41 +325,41 @@ class World:
         await sleep_until_ns(self.clock, at_ns)
 
 
-def build(clock: VirtualClock, chosen: Case, name: str, firer: Firer, seed: int, ppm: float) -> Unit:
+def build(clock: VirtualClock, chosen: Case, name: str, firer: TimedWriter, seed: int, ppm: float) -> Unit:
     """The wire of a case with the controllers on it, and a driver of each. name: of the one that it is about."""
     config = chosen.controller
     make = find_make(config.adapter)
-    make.check(config)
-    own = config.link.unit if isinstance(config.link, SerialLink | CanBusLink) else None
+    make.check_config(config)
+    own = config.link.address if isinstance(config.link, SerialLink | CanBusLink) else None
 
-    def branch(address: int | None) -> Branch:
+    def branch(address: int | None) -> DeviceSpec:
         oscillator = Oscillator(37 * NS_PER_S, ppm, 0.05, seed + (address or 0))
-        timing = Timing(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
-        return Branch(address, chosen.simulate, oscillator, timing, seed)
+        timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
+        return DeviceSpec(address, chosen.simulate, oscillator, timing, seed)
 
     addresses = {name: own, **{f"beside {name} {each}": each for each in chosen.beside}}
     in_order = dict(sorted(addresses.items(), key=lambda each: each[1] or 0))
-    line = build_line(simulator(config.adapter), clock, {each: branch(a) for each, a in in_order.items()})
+    line = build_line(find_simulator(config.adapter), clock, {each: branch(a) for each, a in in_order.items()})
     model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
     if config.link.kind == "can":
         model = can_wire()
     if config.link.kind == "tcp" and chosen.port == "serial":
         # A bridge hands bytes on as quickly as its serial side takes them.
         model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
-    wire = MemoryWire(clock, model, line.far, chosen.port, config.link.place, copy_context(), seed)
-    options = make.options.model_validate(config.options)
+    wire = MemoryWire(clock, model, line.endpoint, chosen.port, config.link.endpoint, copy_context(), seed)
+    options = make.options_model.model_validate(config.options)
     shared: dict[str, Any] = {}
 
     def driver_of(each: str) -> Driver:
         link = config.link
         if each != name:
-            link = link.model_copy(update={"unit": addresses[each]})
+            link = link.model_copy(update={"address": addresses[each]})
         its = config.model_copy(update={"link": link})
-        return make.driver(Setup(each, its, options, clock, wire.open, firer, shared))
+        return make.create_driver(DriverSetup(each, its, options, clock, wire.open, firer, shared))
 
     driver, *beside = [driver_of(each) for each in addresses]
     others = dict(zip(list(addresses)[1:], beside, strict=True))
-    return Unit(config, line.units[name], wire, driver, others)
+    return Unit(config, line.devices[name], wire, driver, others)
 
 
 def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm: float = 40.0) -> None:
@@ -364,7 +367,7 @@ def run(name: str, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm:
 
     async def within(clock: VirtualClock) -> None:
         chosen, draw = CASES[name], Random(seed)
-        firer = LoopFirer(clock, lambda: draw.randrange(60 * NS_PER_US))
+        firer = LoopTimedWriter(clock, lambda: draw.randrange(60 * NS_PER_US))
         units = [build(clock, chosen, "it", firer, seed, ppm)]
         for number, each in enumerate(chosen.also, 1):
             # Its clock goes wrong the other way.
@@ -403,12 +406,12 @@ async def poll_for_ever(clock: VirtualClock, driver: Driver, polled: Callable[[]
                 await driver.poll()
                 polled()
                 await sleep_ns(clock, 200 * NS_PER_MS)
-        except (DriverFault, LinkClosed, LinkRefused, CannotDo):
+        except (ControllerFault, LinkClosed, LinkRefused, Refusal):
             await driver.close()
             await sleep_ns(clock, NS_PER_S)
 
 
-def evidence_holds(world: World, spans: Mapping[str, Span], truth: Mapping[str, int], what: str) -> None:
+def evidence_holds(world: World, spans: Mapping[str, HostInterval], truth: Mapping[str, int], what: str) -> None:
     for axis, span in spans.items():
         assert span.earliest_ns <= truth[axis] <= span.latest_ns, (
             f"{what} of {axis}: {truth[axis] - span.earliest_ns} ns into a span of {span.latest_ns - span.earliest_ns}"

@@ -7,20 +7,20 @@ from typing import TypeVar
 
 from adapters.contract import (
     AxisReading,
-    CannotDo,
-    Capabilities,
+    ControllerIdentity,
+    ControllerReading,
     Driver,
-    Identity,
+    DriverCapabilities,
+    HostInterval,
     JogMove,
     Lowered,
-    Outcome,
-    Reading,
-    Span,
+    MoveOutcome,
 )
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
 T = TypeVar("T")
 
@@ -34,8 +34,8 @@ async def at_once(calls: Iterable[Awaitable[T]]) -> list[T]:
     return [each for each in results if not isinstance(each, BaseException)]
 
 
-def highest(costs: Sequence[Costs]) -> Costs:
-    return Costs(
+def highest(costs: Sequence[StepCosts]) -> StepCosts:
+    return StepCosts(
         arm_ns=max(each.arm_ns for each in costs),
         disarm_ns=max(each.disarm_ns for each in costs),
         stop_ns=max(each.stop_ns for each in costs),
@@ -67,9 +67,9 @@ class Together(Driver):
     def _each(self) -> Iterable[tuple[Driver, set[str]]]:
         return zip(self._drivers, self._axes, strict=True)
 
-    async def connect(self) -> Identity:
+    async def connect(self) -> ControllerIdentity:
         found = await at_once(each.connect() for each in self._drivers)
-        return Identity(
+        return ControllerIdentity(
             model=" ".join(each.model for each in found),
             firmware=" ".join(each.firmware for each in found),
             serial=" ".join(each.serial for each in found),
@@ -79,18 +79,18 @@ class Together(Driver):
         await at_once(each.configure() for each in self._drivers)
 
     @property
-    def capabilities(self) -> Capabilities:
+    def capabilities(self) -> DriverCapabilities:
         """The first one's, which all have; costs are those that hold for all."""
         every = [each.capabilities for each in self._drivers]
         first, costs = every[0], highest([each.costs for each in every])
-        return Capabilities(first.start_classes, first.orders, first.independent_axes, costs)
+        return DriverCapabilities(first.start_classes, first.orders, first.independent_axes, costs)
 
-    async def poll(self) -> Reading:
+    async def poll(self) -> ControllerReading:
         readings = await at_once(each.poll() for each in self._drivers)
         axes: dict[str, AxisReading] = {}
         for each in readings:
             axes |= each.axes
-        return Reading(
+        return ControllerReading(
             at_ns=readings[0].at_ns,
             axes=axes,
             inputs=readings[0].inputs,
@@ -99,14 +99,16 @@ class Together(Driver):
             restarted=any(each.restarted for each in readings),
         )
 
-    def lower(self, profiles: Mapping[str, Profile], how: StartWay, mapping: TickMapping | None) -> LoweredTogether:
+    def lower_profiles(
+        self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
+    ) -> LoweredTogether:
         """A line that is driven is the first one's. Drivers alike start alike; costs are those that hold for all."""
         parts: dict[int, Lowered] = {}
         for number, (one, own) in enumerate(self._each()):
             its = {axis: profile for axis, profile in profiles.items() if axis in own}
-            its_way = how if number == 0 else how.model_copy(update={"drive": None})
+            its_way = start if number == 0 else start.model_copy(update={"drive": None})
             if its or its_way.drive is not None:
-                parts[number] = one.lower(its, its_way, mapping)
+                parts[number] = one.lower_profiles(its, its_way, mapping)
         every = list(parts.values())
         first = every[0]
         assert all((each.start_class, each.terms) == (first.start_class, first.terms) for each in every)
@@ -121,54 +123,54 @@ class Together(Driver):
             parts=parts,
             edge=first.edge,
             clock_ppm=max(each.clock_ppm for each in every),
-            sooner=all(each.sooner for each in every),
+            can_advance=all(each.can_advance for each in every),
         )
 
-    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         assert isinstance(lowered, LoweredTogether)
         self._members = [self._drivers[number] for number in lowered.parts]
         stages = await at_once(
-            self._drivers[number].arm(part, t0_ns, mapping) for number, part in lowered.parts.items()
+            self._drivers[number].arm_move(part, t0_ns, mapping) for number, part in lowered.parts.items()
         )
         return {name: max(each.get(name, 0) for each in stages) for name in stages[0]}
 
-    async def verify(self) -> None:
-        await at_once(each.verify() for each in self._members)
+    async def verify_armed(self) -> None:
+        await at_once(each.verify_armed() for each in self._members)
 
-    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
-        await at_once(each.go(slack_ns, sooner_ns) for each in self._members)
+    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
+        await at_once(each.go(start_tolerance_ns, advance_ns) for each in self._members)
 
-    async def disarm(self) -> None:
-        await at_once(each.disarm() for each in self._drivers)
+    async def disarm_move(self) -> None:
+        await at_once(each.disarm_move() for each in self._drivers)
 
-    async def started(self) -> Mapping[str, Span]:
-        found = await at_once(each.started() for each in self._members)
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        found = await at_once(each.wait_for_start() for each in self._members)
         return {axis: span for each in found for axis, span in each.items()}
 
-    async def outcome(self) -> Outcome:
+    async def wait_for_end(self) -> MoveOutcome:
         """As one that was not done, if there is one."""
-        found = await at_once(each.outcome() for each in self._members)
+        found = await at_once(each.wait_for_end() for each in self._members)
         worst = next((each for each in found if each.state != "done"), found[0])
-        return Outcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
+        return MoveOutcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
 
     async def stop(self, abort: bool) -> None:
         await at_once(each.stop(abort) for each in self._drivers)
 
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
-        await at_once(one.enable(own, on) for one, own in self._of(axes))
+    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
+        await at_once(one.set_enabled(own, on) for one, own in self._of(axes))
 
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
-        missed = await at_once(one.home(own, found) for one, own in self._of(axes))
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        missed = await at_once(one.home_axes(own, found) for one, own in self._of(axes))
         return {axis: reason for each in missed for axis, reason in each.items()}
 
-    async def jog(self, axis: str, move: JogMove) -> None:
-        await at_once(one.jog(axis, move) for one, _ in self._of([axis]))
+    async def jog_axis(self, axis: str, move: JogMove) -> None:
+        await at_once(one.jog_axis(axis, move) for one, _ in self._of([axis]))
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
         await at_once(one.stop_axes(own) for one, own in self._of(axes))
 
-    async def load_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await at_once(one.load_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
+    async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        await at_once(one.load_soft_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
 
     async def set_output(self, number: int, on: bool) -> None:
         await self._drivers[0].set_output(number, on)
@@ -176,8 +178,8 @@ class Together(Driver):
     async def clear_faults(self) -> None:
         await at_once(each.clear_faults() for each in self._drivers)
 
-    async def raw(self, command: str) -> str:
-        return await self._drivers[0].raw(command)
+    async def send_raw(self, command: str) -> str:
+        return await self._drivers[0].send_raw(command)
 
     async def close(self) -> None:
         await at_once(each.close() for each in self._drivers)

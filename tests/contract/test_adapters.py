@@ -7,10 +7,11 @@ from typing import get_args
 import pytest
 from adapter_worlds import CASES, World, evidence_holds, motions, run
 
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.model.messages import LineDrive, LineWait, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait
 from orchestrator.model.state import StartClass
 
 pytestmark = pytest.mark.parametrize("name", CASES)
@@ -44,15 +45,15 @@ def test_reached_identified_compared_and_read(name: str) -> None:
 def test_motors_are_switched_and_references_found(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.enable(world.axes, False)
+        await world.driver.set_enabled(world.axes, False)
         assert not any(axis.enabled for axis in (await world.driver.poll()).axes.values())
-        with pytest.raises(CannotDo, match="enable"):
-            await world.driver.home(world.axes, lambda _: None)
+        with pytest.raises(Refusal, match="enable"):
+            await world.driver.home_axes(world.axes, lambda _: None)
         assert not world.motions
-        await world.driver.enable(world.axes, True)
+        await world.driver.set_enabled(world.axes, True)
         assert all(axis.enabled for axis in (await world.driver.poll()).axes.values())
         found: list[str] = []
-        assert await world.driver.home(world.axes, found.append) == {}
+        assert await world.driver.home_axes(world.axes, found.append) == {}
         assert sorted(found) == sorted(world.axes)
         assert world.at_rest
         assert all(axis.commanded_counts == 0 for axis in (await world.driver.poll()).axes.values())
@@ -90,13 +91,13 @@ def test_a_step_can_begin_sooner_than_it_was_armed_for(name: str, ppm: float) ->
             before = len(world.motions)
             profiles = await world.plan(targets(world, factor))
             lowered, armed_for_ns = await world.arm(profiles)
-            if not lowered.sooner:
+            if not lowered.can_advance:
                 pytest.skip("this make begins when it was armed to")
             tick_ns = lowered.tick_ns or 1.0
             sooner_ns = round(100 * NS_PER_MS // tick_ns * tick_ns)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go(0, sooner_ns)
-            started, outcome = await world.driver.started(), await world.driver.outcome()
+            started, outcome = await world.driver.wait_for_start(), await world.driver.wait_for_end()
             assert outcome.state == "done", outcome
             made = motions(world, before)
             evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
@@ -113,17 +114,19 @@ def test_a_step_can_begin_sooner_than_it_was_armed_for(name: str, ppm: float) ->
 def test_lowering_is_pure_and_refuses_what_it_can_not(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
-        profiles, mapping = await world.plan(targets(world)), world.driver.mapping()
-        assert world.driver.lower(profiles, StartWay(), mapping) == world.driver.lower(profiles, StartWay(), mapping)
-        assert world.driver.lower(profiles, StartWay(), mapping).commands
+        profiles, mapping = await world.plan(targets(world)), world.driver.clock_mapping()
+        assert world.driver.lower_profiles(profiles, StartOptions(), mapping) == world.driver.lower_profiles(
+            profiles, StartOptions(), mapping
+        )
+        assert world.driver.lower_profiles(profiles, StartOptions(), mapping).commands
         for by in set(get_args(StartClass)) - {"line"}:  # which needs a wire
             if by in world.driver.capabilities.start_classes:
-                assert world.driver.lower(profiles, StartWay(by=by), mapping).start_class == by
+                assert world.driver.lower_profiles(profiles, StartOptions(start_class=by), mapping).start_class == by
             else:
-                with pytest.raises(CannotDo) as caught:
-                    world.driver.lower(profiles, StartWay(by=by), mapping)
-                assert caught.value.refusal.code == "start-class"
-                assert caught.value.refusal.remedy
+                with pytest.raises(Refusal) as caught:
+                    world.driver.lower_profiles(profiles, StartOptions(start_class=by), mapping)
+                assert caught.value.code == "start-class"
+                assert caught.value.remedy
         assert not world.motions
 
     run(name, main)
@@ -137,21 +140,21 @@ def test_a_move_waits_for_its_line_and_its_evidence_holds_the_truth(name: str, s
         if "line" not in world.driver.capabilities.start_classes:
             pytest.skip("this make can not wait for an input")
         window_ns = NS_PER_MS
-        how = StartWay(wait=LineWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
+        how = StartOptions(wait=TriggerWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
         for factor in (1.0, -0.4):
             before = len(world.motions)
             profiles = await world.plan(targets(world, factor))
             lowered, t0_ns = await world.arm(profiles, how)
             assert lowered.start_class == "line"
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
             assert world.at_rest
             edge_ns = t0_ns + world.draw.randrange(-window_ns, window_ns)
             await world.until(edge_ns)
             assert world.at_rest
             world.line(True)
-            started = await world.driver.started()
-            outcome = await world.driver.outcome()
+            started = await world.driver.wait_for_start()
+            outcome = await world.driver.wait_for_end()
             assert outcome.state == "done", outcome
             made = motions(world, before)
             evidence_holds(world, started, {axis: made[axis].start_ns for axis in made}, "start")
@@ -171,28 +174,28 @@ def test_a_line_that_is_active_already_is_refused_and_a_disarmed_move_does_not_w
         await world.ready()
         if "line" not in world.driver.capabilities.start_classes:
             pytest.skip("this make can not wait for an input")
-        how = StartWay(wait=LineWait(input="line", earliest_ns=0, latest_ns=NS_PER_MS))
+        how = StartOptions(wait=TriggerWait(input="line", earliest_ns=0, latest_ns=NS_PER_MS))
         profiles = await world.plan(targets(world))
         world.line(True)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(profiles, how)
-        assert caught.value.refusal.code == "line-level" and caught.value.refusal.remedy
-        await world.driver.disarm()
+        assert caught.value.code == "line-level" and caught.value.remedy
+        await world.driver.disarm_move()
         world.line(False)
         for released in (False, True):
             await world.arm(profiles, how)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             if released:
                 await world.driver.go()
                 await world.driver.stop(False)
-            await world.driver.disarm()
+            await world.driver.disarm_move()
             world.line(True)
             await sleep_ns(world.clock, NS_PER_S)
             assert not world.motions
             world.line(False)
-        with pytest.raises(CannotDo) as caught:
-            world.driver.lower(
-                profiles, StartWay(wait=how.wait and how.wait.model_copy(update={"input": "other"})), None
+        with pytest.raises(Refusal) as caught:
+            world.driver.lower_profiles(
+                profiles, StartOptions(wait=how.wait and how.wait.model_copy(update={"input": "other"})), None
             )
 
     run(name, main)
@@ -203,7 +206,7 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
         world.line(False)
         await world.ready(60)
         hold_ns = 50 * NS_PER_MS
-        how = StartWay(drive=LineDrive(output="line", hold_ns=hold_ns))
+        how = StartOptions(drive=TriggerDrive(output="line", active_ns=hold_ns))
         changes: list[tuple[int, bool]] = []
         for unit in world.units:
             unit.controller.on_output(lambda number, level: changes.append((world.clock.now_ns(), level)))
@@ -213,11 +216,11 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
             profiles = await world.plan(targets(world)) if moves else {}
             lowered, t0_ns = await world.arm(profiles, how)
             assert lowered.edge
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
             assert not changes
-            assert (await world.driver.started()).keys() == profiles.keys()
-            assert (await world.driver.outcome()).state == "done"
+            assert (await world.driver.wait_for_start()).keys() == profiles.keys()
+            assert (await world.driver.wait_for_end()).state == "done"
             await world.until(t0_ns + 4 * hold_ns)
             assert [level for _, level in changes] == [True, False]
             (edge_ns, _), (released_ns, _) = changes
@@ -227,9 +230,9 @@ def test_a_line_is_driven_at_its_instant_and_released(name: str) -> None:
             assert len(world.motions) - before == len(profiles)
         changes.clear()
         await world.arm({}, how)
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         lowered, t0_ns = await world.arm({}, how)
-        await world.driver.verify()
+        await world.driver.verify_armed()
         await world.driver.go()
         await world.driver.stop(False)
         await world.until(t0_ns + NS_PER_S)
@@ -245,12 +248,12 @@ def test_what_is_disarmed_never_starts(name: str, stage: str) -> None:
         before = world.positions()
         lowered, t0_ns = await world.arm(await world.plan(targets(world)))
         if stage != "arm":
-            await world.driver.verify()
+            await world.driver.verify_armed()
         if stage == "go":
             await world.driver.go()
         await world.until(min(t0_ns - lowered.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
-        await world.driver.disarm()
-        await world.driver.disarm()
+        await world.driver.disarm_move()
+        await world.driver.disarm_move()
         await world.until(t0_ns + 3 * NS_PER_S)
         assert world.positions() == before
         assert world.at_rest
@@ -265,10 +268,10 @@ def test_nothing_starts_without_go(name: str) -> None:
         await world.ready()
         before = world.positions()
         _, t0_ns = await world.arm(await world.plan(targets(world)))
-        await world.driver.verify()
+        await world.driver.verify_armed()
         await world.until(t0_ns + 3 * NS_PER_S)
         assert world.positions() == before
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         _, _, outcome, _, _ = await world.move(targets(world))
         assert outcome.state == "done"
 
@@ -281,7 +284,7 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
         await world.ready()
         for abort, factor in ((False, 1.0), (True, -0.4)):
             lowered, t0_ns = await world.arm(await world.plan(targets(world, 4)))
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
             following = asyncio.get_running_loop().create_task(follow(world))
             await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
@@ -293,7 +296,7 @@ def test_a_stop_at_any_moment_brings_all_to_rest_in_the_declared_time(name: str,
             await world.until(max(world.clock.now_ns(), t0_ns) + 2 * NS_PER_S)
             assert world.positions() == rests
             await world.driver.clear_faults()
-            await world.driver.enable(world.axes, True)
+            await world.driver.set_enabled(world.axes, True)
             await world.poll(5)
             _, _, outcome, _, _ = await world.move(targets(world, factor))
             assert outcome.state == "done"
@@ -306,13 +309,13 @@ def test_a_stop_at_any_moment_ends_a_search_for_references_or_keeps_it_from_begi
     async def main(world: World) -> None:
         await world.ready()
         found: list[str] = []
-        searching = asyncio.get_running_loop().create_task(world.driver.home(world.axes, found.append))
+        searching = asyncio.get_running_loop().create_task(world.driver.home_axes(world.axes, found.append))
         await sleep_ns(world.clock, when_ms * NS_PER_MS + 1)
         if searching.done():
             return  # a drive whose reference is where it stands
         stopped_ns = world.clock.now_ns()
         await world.driver.stop(False)
-        with contextlib.suppress(CannotDo):
+        with contextlib.suppress(Refusal):
             failed = await searching
             assert sorted([*found, *failed]) == sorted(world.axes)
         await sleep_ns(world.clock, 3 * NS_PER_S)
@@ -320,18 +323,18 @@ def test_a_stop_at_any_moment_ends_a_search_for_references_or_keeps_it_from_begi
         # What was on the wire before the stop may still begin, and stops behind it.
         assert not [motion for _, motion in world.motions if motion.start_ns > stopped_ns + 100 * NS_PER_MS]
         await world.driver.clear_faults()
-        await world.driver.enable(world.axes, True)
+        await world.driver.set_enabled(world.axes, True)
         await world.poll(5)
-        assert await world.driver.home(world.axes, found.append) == {}
+        assert await world.driver.home_axes(world.axes, found.append) == {}
 
     run(name, main, seed=when_ms)
 
 
 async def follow(world: World) -> None:
     """What everybody does who has started something: wait for its start and its end, whatever they are."""
-    with contextlib.suppress(DriverFault, CannotDo):
-        await world.driver.started()
-        assert (await world.driver.outcome()).state != "done"
+    with contextlib.suppress(ControllerFault, Refusal):
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state != "done"
 
 
 def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
@@ -339,7 +342,7 @@ def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
         await world.ready()
         profiles = await world.plan(targets(world, 3))
         _, t0_ns = await world.arm(profiles)
-        await world.driver.verify()
+        await world.driver.verify_armed()
         await world.driver.go()
 
         async def poll() -> None:
@@ -348,8 +351,8 @@ def test_polls_beside_a_step_disturb_nothing(name: str) -> None:
                 await world.poll(1)
 
         polling = asyncio.get_running_loop().create_task(poll())
-        started = await world.driver.started()
-        outcome = await world.driver.outcome()
+        started = await world.driver.wait_for_start()
+        outcome = await world.driver.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
         assert all(times > 20 for times in world.polled_beside.values()), world.polled_beside
@@ -367,7 +370,7 @@ def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
         config = world.axis(axis)
         speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
         end = round(speed)
-        await world.driver.jog(axis, JogMove(speed, ramp, end))
+        await world.driver.jog_axis(axis, JogMove(speed, ramp, end))
         fastest = 0.0
         for _ in range(300):
             await sleep_ns(world.clock, 10 * NS_PER_MS)
@@ -375,9 +378,9 @@ def test_a_jog_keeps_to_its_speed_and_its_end(name: str) -> None:
             assert world.position(axis) <= end
         assert 0.8 * speed < fastest <= speed * (1 + 1e-4)  # as fast as its crystal is
         assert world.position(axis) == end
-        await world.driver.jog(axis, JogMove(-speed, ramp, None))
+        await world.driver.jog_axis(axis, JogMove(-speed, ramp, None))
         for other in others:
-            await world.driver.jog(other, JogMove(speed, ramp, None))
+            await world.driver.jog_axis(other, JogMove(speed, ramp, None))
         await sleep_ns(world.clock, 300 * NS_PER_MS)
         await world.driver.stop_axes([axis])
         await sleep_ns(world.clock, 400 * NS_PER_MS)
@@ -397,33 +400,33 @@ def test_a_controller_that_falls_silent_is_given_up_in_time(name: str, call: str
     async def main(world: World) -> None:
         await world.ready()
         profiles = await world.plan(targets(world))
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower(profiles, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles(profiles, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + 3 * NS_PER_S
         if call == "verify":
-            await world.driver.arm(lowered, t0_ns, mapping)
+            await world.driver.arm_move(lowered, t0_ns, mapping)
         world.hit.wire.cut = True
         calls = {
             "connect": lambda: world.driver.connect(),
             "configure": lambda: world.driver.configure(),
             "poll": lambda: world.driver.poll(),
-            "enable": lambda: world.driver.enable(world.axes, False),
-            "home": lambda: world.driver.home(world.axes, lambda _: None),
-            "arm": lambda: world.driver.arm(lowered, t0_ns, mapping),
-            "verify": lambda: world.driver.verify(),
+            "enable": lambda: world.driver.set_enabled(world.axes, False),
+            "home": lambda: world.driver.home_axes(world.axes, lambda _: None),
+            "arm": lambda: world.driver.arm_move(lowered, t0_ns, mapping),
+            "verify": lambda: world.driver.verify_armed(),
             "set_output": lambda: world.driver.set_output(1, True),
         }
         began_ns = world.clock.now_ns()
-        with pytest.raises((DriverFault, LinkClosed, LinkRefused)) as caught:
+        with pytest.raises((ControllerFault, LinkClosed, LinkRefused)) as caught:
             await calls[call]()
         assert world.clock.now_ns() - began_ns < 10 * NS_PER_S
-        if isinstance(caught.value, DriverFault):
-            assert caught.value.fault.remedy
+        if isinstance(caught.value, ControllerFault):
+            assert caught.value.remedy
         world.hit.wire.cut = False
         await world.leave()
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         await world.poll(5)
         assert world.at_rest
 
@@ -444,10 +447,10 @@ def test_noise_is_said_and_survived(name: str, seed: int) -> None:
         for _ in range(20):
             try:
                 await world.driver.poll()
-            except (DriverFault, LinkClosed, LinkRefused):
+            except (ControllerFault, LinkClosed, LinkRefused):
                 wrong += 1
                 await world.leave()
-                with contextlib.suppress(DriverFault, LinkClosed, LinkRefused):
+                with contextlib.suppress(ControllerFault, LinkClosed, LinkRefused):
                     await world.driver.connect()
         assert wrong
         world.hit.wire.to_near = None
@@ -466,7 +469,7 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
         await world.arm(await world.plan(targets(world)))
-        await world.driver.verify()
+        await world.driver.verify_armed()
         await world.driver.go()
         world.hit.controller.set_power(False)
         await sleep_ns(world.clock, NS_PER_S)
@@ -476,15 +479,15 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
         for _ in range(5):
             try:
                 noticed = noticed or (await world.driver.poll()).restarted
-            except (DriverFault, LinkClosed, LinkRefused):
+            except (ControllerFault, LinkClosed, LinkRefused):
                 # Its links have died with it; after that it is asked again.
                 await world.leave()
                 await world.driver.connect()
                 await world.driver.configure()
         assert noticed
         assert world.at_rest
-        assert not any(motion.end_counts != motion.start_counts for motion in world.hit.controller.motions)
-        await world.driver.enable(world.axes, True)
+        assert not any(motion.end_counts != motion.start_counts for motion in world.hit.controller.commanded_motions)
+        await world.driver.set_enabled(world.axes, True)
         await world.poll(40)
         _, _, outcome, _, _ = await world.move(targets(world))
         assert outcome.state == "done"
@@ -495,7 +498,7 @@ def test_a_power_cycle_is_noticed_and_leaves_nothing_armed(name: str) -> None:
 def test_a_power_cycle_while_nobody_was_connected_is_noticed_once(name: str) -> None:
     async def main(world: World) -> None:
         await world.ready()
-        assert await world.driver.home(world.axes, lambda _: None) == {}
+        assert await world.driver.home_axes(world.axes, lambda _: None) == {}
         _, _, outcome, _, _ = await world.move(targets(world))
         assert outcome.state == "done"
         before, positions = world.places(), world.positions()
@@ -524,14 +527,14 @@ def test_a_controller_that_somebody_moves_is_not_stopped_by_being_reached(name: 
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await world.arm(await world.plan(targets(world, 2)))
-        await world.driver.verify()
+        await world.driver.verify_armed()
         await world.driver.go()
         await world.until(t0_ns + 200 * NS_PER_MS)
         await world.leave()
         try:
             await world.driver.connect()
-        except DriverFault as error:
-            assert error.fault.remedy
+        except ControllerFault as error:
+            assert error.remedy
         await world.rest(60 * NS_PER_S)
         if CASES[name].led:
             # Nobody led it any further, and it needs no reset for that.

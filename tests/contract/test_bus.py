@@ -14,7 +14,7 @@ from bus_worlds import LIMIT_S, Body, World, linked, request_until, run_live, ru
 from orchestrator.bus.base import BusClosed, NoReply, Priority, RequestRefused, RequestTimeout, Sample
 from orchestrator.bus.estop import put_estop
 from orchestrator.bus.keys import Keys
-from orchestrator.model.messages import Estop
+from orchestrator.model.messages import EstopMessage
 
 Run = Callable[[Body], None]
 
@@ -66,8 +66,8 @@ def test_an_estop_of_no_fleet_is_heard_by_all_without_waiting_for_them(run: Run)
         # Whoever puts it has only just come: nobody is known to it yet.
         put_estop(await world.join("c"), None, "e1", "anna", "smoke")
         await until(lambda: all(got.values()))
-        heard = [Estop.model_validate_json(sample.payload) for samples in got.values() for sample in samples]
-        assert heard == [Estop(event="e1", actor="anna", reason="smoke")] * 2
+        heard = [EstopMessage.model_validate_json(sample.payload) for samples in got.values() for sample in samples]
+        assert heard == [EstopMessage(event="e1", actor="anna", reason="smoke")] * 2
 
     run(body)
 

@@ -19,11 +19,11 @@ MOMENTS_NS = [k * 47 * NS_PER_MS + k % 7 * 370 * NS_PER_US for k in range(18)]  
 async def jog(world: World) -> None:
     axis = world.axis(world.axes[0])
     velocity, acceleration = (float(limit * axis.scale) for limit in (axis.limits.velocity, axis.limits.acceleration))
-    await world.driver.jog(world.axes[0], JogMove(-velocity / 4, acceleration / 2, 500))
+    await world.driver.jog_axis(world.axes[0], JogMove(-velocity / 4, acceleration / 2, 500))
 
 
 async def home(world: World) -> None:
-    await world.driver.home(world.axes, lambda _: None)
+    await world.driver.home_axes(world.axes, lambda _: None)
 
 
 async def step(world: World) -> None:

@@ -6,21 +6,21 @@ from pydantic import BaseModel
 
 from adapters.contract import (
     AxisReading,
-    CannotDo,
-    Capabilities,
+    ControllerIdentity,
+    ControllerReading,
     Driver,
-    Identity,
+    DriverCapabilities,
+    DriverSetup,
+    HostInterval,
     JogMove,
     Lowered,
-    Outcome,
-    Reading,
-    Setup,
-    Span,
+    MoveOutcome,
 )
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 
 DRIVER_STOP = b"ST\r"
 GUARDIAN_STOP = b"\\ST\r"
@@ -31,45 +31,45 @@ class Options(BaseModel):
 
 
 class FakeDriver(Driver):
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: DriverSetup) -> None:
         self._setup = setup
         self._link: Link | None = None
 
-    async def connect(self) -> Identity:
+    async def connect(self) -> ControllerIdentity:
         self._link = await self._setup.open_link()
-        return Identity("fake", "1", "1")
+        return ControllerIdentity("fake", "1", "1")
 
     async def configure(self) -> None:
         pass
 
     @property
-    def capabilities(self) -> Capabilities:
-        costs = Costs(arm_ns=1_000_000, disarm_ns=1_000_000, stop_ns=1_000_000)
-        return Capabilities(start_classes=("host",), orders=(2,), independent_axes=False, costs=costs)
+    def capabilities(self) -> DriverCapabilities:
+        costs = StepCosts(arm_ns=1_000_000, disarm_ns=1_000_000, stop_ns=1_000_000)
+        return DriverCapabilities(start_classes=("host",), orders=(2,), independent_axes=False, costs=costs)
 
-    async def poll(self) -> Reading:
+    async def poll(self) -> ControllerReading:
         axes = {name: AxisReading(0, 0.0, 0.0, False, True) for name in self._setup.config.axes}
-        return Reading(self._setup.clock.now_ns(), axes)
+        return ControllerReading(self._setup.clock.now_ns(), axes)
 
-    def lower(self, profiles: object, start: object, mapping: TickMapping | None) -> Lowered:
+    def lower_profiles(self, profiles: object, start: object, mapping: TickMapping | None) -> Lowered:
         raise NotImplementedError
 
-    async def arm(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         raise NotImplementedError
 
-    async def verify(self) -> None:
+    async def verify_armed(self) -> None:
         raise NotImplementedError
 
-    async def go(self, slack_ns: int = 0) -> None:
+    async def go(self, start_tolerance_ns: int = 0) -> None:
         raise NotImplementedError
 
-    async def disarm(self) -> None:
+    async def disarm_move(self) -> None:
         pass
 
-    async def started(self) -> Mapping[str, Span]:
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
         raise NotImplementedError
 
-    async def outcome(self) -> Outcome:
+    async def wait_for_end(self) -> MoveOutcome:
         raise NotImplementedError
 
     async def stop(self, abort: bool) -> None:
@@ -77,13 +77,13 @@ class FakeDriver(Driver):
             raise LinkClosed("not connected")
         self._link.write(DRIVER_STOP)
 
-    async def enable(self, axes: Sequence[str], on: bool) -> None:
+    async def set_enabled(self, axes: Sequence[str], on: bool) -> None:
         pass
 
-    async def home(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, CannotDo]:
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         raise NotImplementedError
 
-    async def jog(self, axis: str, move: JogMove) -> None:
+    async def jog_axis(self, axis: str, move: JogMove) -> None:
         raise NotImplementedError
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
@@ -95,7 +95,7 @@ class FakeDriver(Driver):
     async def clear_faults(self) -> None:
         pass
 
-    async def raw(self, command: str) -> str:
+    async def send_raw(self, command: str) -> str:
         return command
 
     async def close(self) -> None:
@@ -105,12 +105,12 @@ class FakeDriver(Driver):
 
 class FakeMake:
     name = "fake"
-    options = Options
+    options_model = Options
 
-    def check(self, config: Controller) -> None:
+    def check_config(self, config: Controller) -> None:
         pass
 
-    def driver(self, setup: Setup) -> Driver:
+    def create_driver(self, setup: DriverSetup) -> Driver:
         return FakeDriver(setup)
 
     def stop_bytes(self, config: Controller) -> bytes:

@@ -164,7 +164,7 @@ class RunningFleet:
         return self.ask(lambda tutti: tutti.submit(job))
 
     def wait(self, job_id: str) -> JobReport:
-        return self.ask(lambda tutti: tutti.wait(job_id, poll_s=0.1))
+        return self.ask(lambda tutti: tutti.wait_for_job(job_id, poll_s=0.1))
 
     def run(self, steps: Steps) -> JobReport:
         return self.wait(self.submit(steps))

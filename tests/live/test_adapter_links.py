@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from children import LIMIT_S, Children, tell
 
-from adapters.link.open import open_link
+from adapters.link.open import make_link_opener
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed, LinkRefused
 from orchestrator.model.fleet import SerialLink, TcpLink
@@ -29,7 +29,7 @@ def run(test: Test) -> None:
 
 
 async def opened(model: TcpLink | SerialLink) -> Link:
-    return await open_link(model, LiveClock())()
+    return await make_link_opener(model, LiveClock())()
 
 
 async def ask(link: Link, command: bytes, end: bytes) -> bytes:
@@ -111,10 +111,10 @@ def test_a_full_buffer_closes_the_link_with_its_reason() -> None:
     ("model", "reason"),
     [
         (TcpLink(host="127.0.0.1", port=1), "tcp 127.0.0.1:1: connection refused; is the controller switched on"),
-        (TcpLink(host="no..host", port=1), "tcp no..host:1: the name no..host is not known"),
+        (TcpLink(host="no..host", port=1), "tcp no..host:1: the name no..host cannot be resolved"),
         (SerialLink(kind="serial", device="/dev/no-such-port"), "serial /dev/no-such-port: no such device"),
-        (SerialLink(kind="serial", device="/dev/null"), "can not be set to 38400 baud"),
-        (SerialLink(kind="serial", device="/etc/hostname"), "is no serial port"),
+        (SerialLink(kind="serial", device="/dev/null"), "cannot be set to 38400 baud"),
+        (SerialLink(kind="serial", device="/etc/hostname"), "is not a serial port"),
     ],
 )
 def test_what_can_not_be_opened_says_where_why_and_what_to_do(model: TcpLink | SerialLink, reason: str) -> None:
@@ -150,7 +150,7 @@ def test_a_port_in_use_names_its_holder_and_is_free_after_close(children: Childr
 
     async def test() -> None:
         link = await opened(model)
-        with pytest.raises(LinkRefused, match=rf"in use by .*pid {process.pid} .*; end that one first"):
+        with pytest.raises(LinkRefused, match=rf"in use by .*pid {process.pid} .*; end that process first"):
             await opened(model)
         await link.close()
         again = await opened(model)

@@ -119,7 +119,7 @@ def test_a_fleet_with_a_bridge_homes_and_moves(tmp_path: Path) -> None:
                     {"schema": "tutti.job/1", "name": "bridge", "max_start_skew": "50 ms", "steps": STEPS}
                 )
                 async with asyncio.timeout(60):
-                    return await tutti.wait(await tutti.submit(job))
+                    return await tutti.wait_for_job(await tutti.submit(job))
         finally:
             await live.close()
 

@@ -18,14 +18,14 @@ fleet: demo
 controllers:
   left:
     adapter: cia402
-    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, unit: 3}
+    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, address: 3}
     options: &patient {answer_ms: 1000, heartbeat_ms: 500}  # of a machine that does other things besides
     axes: {a: &axis {motors: ["1"], unit: mm, scale: 1000, limits: {velocity: 80, acceleration: 400}, homing: {method: "37"}}}
     inputs: {lit: {number: 1}}
     simulate: {decode_us: 300, drift_ppm: 20}
   right:
     adapter: cia402
-    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, unit: 4}
+    link: {kind: can, interface: slcan, channel: /dev/ttyACM0, address: 4}
     options: *patient
     axes: {b: *axis}
     outputs: {lamp: {number: 2}}

@@ -163,7 +163,7 @@ def test_what_a_firing_process_writes_to_our_link_is_sent(port: Path) -> None:
 )
 def test_an_interface_that_is_not_there_is_refused_with_its_reason(interface: str, channel: str, why: str) -> None:
     async def main() -> None:
-        link = CanBusLink(kind="can", interface=interface, channel=channel, unit=1)
+        link = CanBusLink(kind="can", interface=interface, channel=channel, address=1)
         with pytest.raises(LinkRefused, match=why):
             await open_can(link, LiveClock())
 
@@ -197,4 +197,4 @@ def test_the_adapter_of_the_bus_speaks_the_lawicel_protocol(port: Path) -> None:
 
 
 def model(port: Path) -> CanBusLink:
-    return CanBusLink(kind="can", interface="slcan", channel=str(port), unit=NODE)
+    return CanBusLink(kind="can", interface="slcan", channel=str(port), address=NODE)

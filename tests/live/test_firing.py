@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from children import LIMIT_S
 
-from adapters.host.firing_process import ProcessFirer
-from adapters.link.open import open_link
+from adapters.host.firing_process import ProcessTimedWriter
+from adapters.link.open import make_link_opener
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed
@@ -24,7 +24,7 @@ GENEROUS_NS = 500 * NS_PER_MS
 class Bench:
     """A firer, a link, and the far end of the link."""
 
-    def __init__(self, firer: ProcessFirer, link: Link, far: socket.socket) -> None:
+    def __init__(self, firer: ProcessTimedWriter, link: Link, far: socket.socket) -> None:
         self.firer = firer
         self.link = link
         self.far = far
@@ -38,15 +38,15 @@ def run(test: Callable[[Bench], Coroutine[Any, Any, None]]) -> None:
         loop = asyncio.get_running_loop()
         with socket.create_server(("127.0.0.1", 0)) as server:
             server.setblocking(False)
-            link = await open_link(TcpLink(host="127.0.0.1", port=server.getsockname()[1]), LiveClock())()
+            link = await make_link_opener(TcpLink(host="127.0.0.1", port=server.getsockname()[1]), LiveClock())()
             far, _ = await loop.sock_accept(server)
-        firer = ProcessFirer()
+        firer = ProcessTimedWriter()
         try:
             far.setblocking(False)
             async with asyncio.timeout(LIMIT_S):
                 # The first order waits for the process to start.
                 start_ns = raw_ns()
-                await firer.schedule(link, b"first", start_ns, start_ns + 60_000 * NS_PER_MS).done()
+                await firer.schedule_write(link, b"first", start_ns, start_ns + 60_000 * NS_PER_MS).wait_until_written()
                 assert await loop.sock_recv(far, 100) == b"first"
                 await test(Bench(firer, link, far))
         finally:
@@ -63,7 +63,9 @@ def test_it_writes_at_its_instant() -> None:
     async def test(bench: Bench) -> None:
         for _ in range(40):
             at_ns = raw_ns() + 10 * NS_PER_MS
-            fired = await bench.firer.schedule(bench.link, b"BG\r", at_ns, at_ns + GENEROUS_NS).done()
+            fired = await bench.firer.schedule_write(
+                bench.link, b"BG\r", at_ns, at_ns + GENEROUS_NS
+            ).wait_until_written()
             assert not fired.late
             assert await bench.heard() == b"BG\r"
             late_ns.append(fired.written_ns - at_ns)
@@ -77,12 +79,12 @@ def test_it_writes_at_its_instant() -> None:
 def test_what_is_cancelled_is_not_sent() -> None:
     async def test(bench: Bench) -> None:
         at_ns = raw_ns() + GENEROUS_NS
-        order = bench.firer.schedule(bench.link, b"cancelled", at_ns, at_ns + GENEROUS_NS)
-        assert order.cancel()
+        order = bench.firer.schedule_write(bench.link, b"cancelled", at_ns, at_ns + GENEROUS_NS)
+        assert order.cancel_write()
         with pytest.raises(asyncio.CancelledError):
-            await order.done()
+            await order.wait_until_written()
         soon_ns = raw_ns() + SOON_NS
-        await bench.firer.schedule(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).done()
+        await bench.firer.schedule_write(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).wait_until_written()
         assert await bench.heard() == b"next"
 
     run(test)
@@ -91,10 +93,10 @@ def test_what_is_cancelled_is_not_sent() -> None:
 def test_what_is_late_is_not_sent() -> None:
     async def test(bench: Bench) -> None:
         past_ns = raw_ns() - SOON_NS
-        fired = await bench.firer.schedule(bench.link, b"late", past_ns, past_ns + 1).done()
+        fired = await bench.firer.schedule_write(bench.link, b"late", past_ns, past_ns + 1).wait_until_written()
         assert fired.late
         soon_ns = raw_ns() + SOON_NS
-        await bench.firer.schedule(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).done()
+        await bench.firer.schedule_write(bench.link, b"next", soon_ns, soon_ns + GENEROUS_NS).wait_until_written()
         assert await bench.heard() == b"next"
 
     run(test)
@@ -103,9 +105,9 @@ def test_what_is_late_is_not_sent() -> None:
 def test_a_link_closed_meanwhile_is_told() -> None:
     async def test(bench: Bench) -> None:
         at_ns = raw_ns() + SOON_NS
-        order = bench.firer.schedule(bench.link, b"into the void", at_ns, at_ns + GENEROUS_NS)
+        order = bench.firer.schedule_write(bench.link, b"into the void", at_ns, at_ns + GENEROUS_NS)
         await bench.link.close()
         with pytest.raises(LinkClosed):
-            await order.done()
+            await order.wait_until_written()
 
     run(test)

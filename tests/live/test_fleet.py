@@ -82,7 +82,7 @@ def test_the_demo_job_is_done_and_its_evidence_holds_the_truth(shared: RunningFl
     assert report["state"] == "done"
     scale = Journal(shared.state / "journal.sqlite3")
     try:
-        _, origin_ns = scale.scale(Path("/proc/sys/kernel/random/boot_id").read_text().strip(), 0, "none")
+        _, origin_ns = scale.fleet_time_scale(Path("/proc/sys/kernel/random/boot_id").read_text().strip(), 0, "none")
     finally:
         scale.close()
     judged = 0
@@ -138,7 +138,7 @@ def test_what_machines_wait_for_goes_first_or_the_user_is_told(shared: RunningFl
         "coordinator.process": Urgency.SERVICE,
     }
     found = {words: priorities(shared.pid(words)) for words in urgencies}
-    if "may not run real-time processes" in shared.output():
+    if "no permission for real-time processes" in shared.output():
         assert found == {words: {0} for words in urgencies}
     else:
         assert found == {words: {urgency} for words, urgency in urgencies.items()}
@@ -289,7 +289,7 @@ def test_a_second_fleet_is_refused_with_the_remedy(shared: RunningFleet, tmp_pat
     assert "--port" in taken.stderr and "--connect" in taken.stderr
     second = run_tutti(*up, "--connect", shared.endpoint, "--state", str(tmp_path))
     assert second.returncode == 1
-    assert "reigns in fleet demo" in second.stderr
+    assert "leads fleet demo" in second.stderr
     folder = run_tutti(*up, "--port", str(free_port()), "--state", str(shared.state))
     assert folder.returncode == 1
     assert "--state" in folder.stderr
@@ -392,7 +392,7 @@ def test_a_coordinator_that_slept_is_deposed_and_moves_nothing(own: RunningFleet
             assert second.stdout.readline() == "ready\n"
             starts = {name: own.starts(name) for name in SLOW_AXES}
             os.kill(first, signal.SIGCONT)
-            wait_until(lambda: "is deposed" in own.output(), "the first one ends")
+            wait_until(lambda: "has lost leadership" in own.output(), "the first one ends")
             assert not wait_a_moment(lambda: {name: own.starts(name) for name in SLOW_AXES} != starts, 1.0)
             report = own.run([{"do": "move", "by": {"gantry.x": 1, "stage.u": 1}}])
             assert report.state == "done", report.reason

@@ -136,7 +136,7 @@ def test_a_second_panel_is_refused_and_says_by_whom(fleet: RunningFleet, start: 
     job_id = fleet.submit([{"do": "enable", "axes": ["gantry"]}])
 
     def waits() -> bool:
-        entry = fleet.ask(lambda tutti: tutti.show(job_id)).entry
+        entry = fleet.ask(lambda tutti: tutti.show_job(job_id)).entry
         return entry is not None and entry.state == "queued" and "gantry" in entry.reason
 
     holding(first, "right", waits, "the job waits, and says for what")

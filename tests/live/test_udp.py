@@ -5,7 +5,7 @@ import asyncio
 import pytest
 from children import LIMIT_S, Children
 
-from adapters.link.open import open_link
+from adapters.link.open import make_link_opener
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.fleet import UdpLink
@@ -28,7 +28,7 @@ def test_handles_are_addresses_and_freed_by_those_who_leave(children: Children) 
     _, place = children.simulator("smc4000", "udp:127.0.0.1:0")
 
     async def main() -> None:
-        opened = open_link(UdpLink(kind="udp", host=place["host"], port=place["port"]), LiveClock())
+        opened = make_link_opener(UdpLink(kind="udp", host=place["host"], port=place["port"]), LiveClock())
         first = await opened()
         assert "0000000042.0000" in await ask(first, b"MG 6*7\r")
         free = set[str]()

@@ -1,1 +1,1 @@
-"""What both Yaskawa models share."""
+"""Code shared by both Yaskawa models."""

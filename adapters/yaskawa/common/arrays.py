@@ -1,111 +1,129 @@
-"""A contour's records in the controller's arrays: space, QD down, QU back up (L8545, L9105, L15870)."""
+"""The records of a contour in the controller's arrays: allocation, download by QD, upload by QU (L8545, L9105,
+L15870)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from adapters.contract import CannotDo
-from adapters.yaskawa.common.program import TAIL, array
+from adapters.yaskawa.common.program import TAIL, array_name
 from adapters.yaskawa.common.record import RECORD_LETTERS
-from adapters.yaskawa.smc4000.session import MAX_PACKET, Refused, Session
+from adapters.yaskawa.smc4000.session import MAX_PACKET, CommandSession, SmcCommandRefused
+from orchestrator.model.errors import Refusal
 
-NAMES = (*(array(index) for index in range(len(RECORD_LETTERS))), TAIL)
-ALLOCATING = len(NAMES) + 1  # exchanges
-SEPARATOR = 2  # bytes between two elements on their way down
-ELEMENTS = MAX_PACKET - len("QD XC1[],99999,99999\r\x1a")  # bytes of a packet that are left for them
-UP = 250  # elements asked back at once
-FORMAT = 5  # digits of an element that is read back (PF)
-FORMATTING = 3  # exchanges: the format that was set, ours, and that again
+ARRAY_NAMES = (*(array_name(index) for index in range(len(RECORD_LETTERS))), TAIL)
+ALLOCATION_EXCHANGES = len(ARRAY_NAMES) + 1  # exchanges
+SEPARATOR = 2  # bytes between two elements of a download
+PACKET_ELEMENT_CHARACTERS = MAX_PACKET - len(
+    "QD XC1[],99999,99999\r\x1a"
+)  # bytes of a packet that are left for elements
+UPLOAD_ELEMENTS = 250  # elements requested per upload
+UPLOAD_DIGITS = 5  # digits of an element in an upload (PF)
+FORMAT_EXCHANGES = 3  # exchanges: read the present format, set the adapter's, restore the former
 ARRAY_SPACE_FULL = 66  # error codes (L10268)
 TOO_MANY_ARRAYS = 67
-SPREAD = 1.02  # of characters: the increments depend on the phase of the start, by a digit here and there
+SPREAD_CHARACTERS = 1.02  # of characters: the increments depend on the phase of the start, by a digit in some places
 
 
 @dataclass(frozen=True, slots=True)
-class Packets:
-    """How arrays go through a link. names: of those that may be ours. elements: characters of them, with separators,
-    that are sent at once. back: how many elements are asked back at once."""
+class ArrayTransfer:
+    """How arrays are transferred over a link.
 
-    names: tuple[str, ...] = NAMES
-    elements: int = ELEMENTS
-    back: int = UP
+    names: names of the arrays that the adapter may own.
+    elements: characters of elements, with separators, per download.
+    upload_elements: number of elements per upload."""
+
+    names: tuple[str, ...] = ARRAY_NAMES
+    elements: int = PACKET_ELEMENT_CHARACTERS
+    upload_elements: int = UPLOAD_ELEMENTS
 
 
 @dataclass(frozen=True, slots=True)
-class SlowUpload(Packets):
-    """Through a link whose characters are what takes the time. exchange_ns: of one exchange but for the elements in it.
-    char_ns: of a character. most_s: what a contour may take, s."""
+class SlowArrayTransfer(ArrayTransfer):
+    """Transfer over a link whose time is dominated by its characters.
+
+    exchange_ns: duration of one exchange without its elements.
+    char_ns: duration of one character.
+    most_s: longest transfer that a contour may take, s."""
 
     exchange_ns: int = 0
     char_ns: int = 0
     most_s: float = math.inf
 
-    def takes_ns(self, arrays: Mapping[str, Sequence[int]]) -> int:
-        """How long `load` takes for these, at the most: every element goes down and comes back, with a separator."""
+    def load_duration_ns(self, arrays: Mapping[str, Sequence[int]]) -> int:
+        """Return an upper bound for the duration of `load_arrays`: every element is downloaded and uploaded, with a
+        separator."""
         texts = {name: sum(len(str(value)) + 1 for value in values) for name, values in arrays.items()}
-        # Coming back, a positive number has a column for its sign, too.
+        # In an upload a positive number has a column for its sign, too.
         positive = sum(value >= 0 for values in arrays.values() for value in values)
         characters = 2 * sum(texts.values()) + positive
-        # Refused frees are asked why.
-        exchanges = 2 * len(self.names) + 1 + FORMATTING
+        # After a refused deallocation the reason is queried.
+        exchanges = 2 * len(self.names) + 1 + FORMAT_EXCHANGES
         for values in arrays.values():
-            exchanges += len(_parts(values, self.elements)) + -(-len(values) // self.back)
-        return exchanges * self.exchange_ns + round(SPREAD * characters * self.char_ns)
+            exchanges += len(_split_into_packets(values, self.elements)) + -(-len(values) // self.upload_elements)
+        return exchanges * self.exchange_ns + round(SPREAD_CHARACTERS * characters * self.char_ns)
 
 
-PACKETS = Packets()
+DEFAULT_TRANSFER = ArrayTransfer()
 
 
-async def free(session: Session, names: Iterable[str] = NAMES) -> None:
-    """Give back the space of all our arrays (DA, L3971); a controller may refuse to free what is not there."""
+async def free_arrays(session: CommandSession, names: Iterable[str] = ARRAY_NAMES) -> None:
+    """Deallocate all arrays of the adapter (DA, L3971); a controller may refuse to free an array that does not
+    exist."""
     for name in names:
-        with suppress(Refused):
-            await session.tell(f"DA {name}[0]")
+        with suppress(SmcCommandRefused):
+            await session.send_command(f"DA {name}[0]")
 
 
-async def load(session: Session, arrays: Mapping[str, Sequence[int]], packets: Packets = PACKETS) -> None:
-    """Make these arrays, fill them, and see that they hold it. Raises `CannotDo`."""
-    await free(session, packets.names)
+async def load_arrays(
+    session: CommandSession, arrays: Mapping[str, Sequence[int]], packets: ArrayTransfer = DEFAULT_TRANSFER
+) -> None:
+    """Allocate these arrays, fill them, and verify their contents. Raises `Refusal`."""
+    await free_arrays(session, packets.names)
     try:
-        await session.tell("DM " + ",".join(f"{name}[{len(values)}]" for name, values in arrays.items()))
-    except Refused as refusal:
+        await session.send_command("DM " + ",".join(f"{name}[{len(values)}]" for name, values in arrays.items()))
+    except SmcCommandRefused as refusal:
         if refusal.number not in (ARRAY_SPACE_FULL, TOO_MANY_ARRAYS):
             raise
-        raise CannotDo(
+        raise Refusal(
             "array-space",
-            f"the controller has no room for {sum(map(len, arrays.values()))} array elements beside those of others",
+            f"the controller has no room for {sum(map(len, arrays.values()))} array elements in addition "
+            "to existing arrays",
             "free arrays with DA, or lower the controller's option array_elements",
         ) from None
     for name, values in arrays.items():
-        for first, part in _parts(values, packets.elements):
+        for first, part in _split_into_packets(values, packets.elements):
             await session.load_array(name, first, part)
-    await _compare(session, arrays, packets.back)
+    await _verify_arrays(session, arrays, packets.upload_elements)
 
 
-async def _compare(session: Session, arrays: Mapping[str, Sequence[int]], back: int) -> None:
-    """Elements come back in the position format (L9105), which a person may have set to anything."""
-    (before,), _ = await session.numbers("_PF")
-    await session.tell(f"PF {FORMAT}.0")
+async def _verify_arrays(session: CommandSession, arrays: Mapping[str, Sequence[int]], back: int) -> None:
+    """Compare the uploaded elements. They arrive in the position format (L9105), which a user may have set to
+    anything."""
+    (before,), _ = await session.read_numbers("_PF")
+    await session.send_command(f"PF {UPLOAD_DIGITS}.0")
     for name, values in arrays.items():
         for first in range(0, len(values), back):
             wanted = list(values[first : first + back])
             held = await session.read_array(name, first, first + len(wanted) - 1)
             if held != wanted:
                 at = next((k for k, (a, b) in enumerate(zip(held, wanted, strict=False)) if a != b), 0)
-                raise CannotDo("read-back", f"{name}[{first + at}] does not hold what was loaded", "try again")
-    await session.tell(f"PF {before:.1f}")
+                raise Refusal(
+                    "read-back", f"{name}[{first + at}] does not contain the value that was loaded", "try again"
+                )
+    await session.send_command(f"PF {before:.1f}")
 
 
-def exchanges(count: int, lengths: Sequence[int]) -> int:
-    """How many exchanges `load` takes at the most. count: elements of an array; lengths: of one array each, the digits
-    of its largest."""
-    down = sum(-(-count // (ELEMENTS // (digits + 1 + SEPARATOR))) for digits in lengths)
-    return ALLOCATING + FORMATTING + down + len(lengths) * -(-count // UP)
+def count_exchanges(count: int, lengths: Sequence[int]) -> int:
+    """Return an upper bound for the number of exchanges of `load_arrays`.
+
+    count: elements per array. lengths: one entry per array, the digits of its largest element."""
+    down = sum(-(-count // (PACKET_ELEMENT_CHARACTERS // (digits + 1 + SEPARATOR))) for digits in lengths)
+    return ALLOCATION_EXCHANGES + FORMAT_EXCHANGES + down + len(lengths) * -(-count // UPLOAD_ELEMENTS)
 
 
-def _parts(values: Sequence[int], room: int) -> list[tuple[int, list[int]]]:
-    """(first element, elements): what fits into a packet each. room: characters, with separators."""
+def _split_into_packets(values: Sequence[int], room: int) -> list[tuple[int, list[int]]]:
+    """Return (first element, elements) for each packet. room: characters, with separators."""
     parts: list[tuple[int, list[int]]] = []
     used = room
     for index, value in enumerate(values):

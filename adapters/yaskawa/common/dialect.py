@@ -1,15 +1,16 @@
-"""What both models read alike: the names of motors, and lines that a person sends."""
+"""Syntax common to both models: the names of motors, and raw command lines."""
 
 from collections.abc import Awaitable, Callable, Sequence
 
-from adapters.contract import CannotDo
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 
 MAX_LINE = 80  # characters (SMC-4000: L12254; SMC-2000: L13982)
 
 
 def motor_indices(config: Controller, names: Sequence[str], known: str) -> dict[str, int]:
-    """By axis of the fleet file, the index of its motor. names: alphabets of one letter a motor. known: in words.
+    """Return the motor index of each axis of the fleet file. names: alphabets with one letter per motor. known: the
+    alphabets as text.
 
     Raises `ValueError`.
     """
@@ -20,29 +21,31 @@ def motor_indices(config: Controller, names: Sequence[str], known: str) -> dict[
         if index < 0:
             raise ValueError(f"axes.{name}.motors: there is no motor {letter!r}; motors are {known}")
         if index in motors.values():
-            raise ValueError(f"axes.{name}.motors: {letter} is the motor of another axis under its other name")
+            raise ValueError(f"axes.{name}.motors: {letter} is another name for the motor of another axis")
         motors[name] = index
     return motors
 
 
-async def send_raw(line: str, ask_all: Callable[[str], Awaitable[list[str]]], not_exchanges: Sequence[str]) -> str:
-    """The replies to a line, command by command; a refusal is a reply. not_exchanges: beginnings of commands that are
-    not answered by a line. Raises `CannotDo` for what is no line of text."""
+async def send_raw(line: str, query_all: Callable[[str], Awaitable[list[str]]], not_exchanges: Sequence[str]) -> str:
+    """Send a command line and return the replies to each of its commands; a refusal counts as a reply.
+
+    not_exchanges: beginnings of commands that are not answered by a line. Raises `Refusal` for anything but a line of
+    text."""
     text = line.strip()
     if not text.isascii() or not text.isprintable() or len(text) > MAX_LINE:
-        raise CannotDo("bad-line", f"a line has at most {MAX_LINE} printable ASCII characters", "shorten it")
-    parts = _commands(text)
+        raise Refusal("bad-line", f"a command line has at most {MAX_LINE} printable ASCII characters", "shorten it")
+    parts = _split_commands(text)
     if any(part.strip().startswith(tuple(not_exchanges)) for part in parts):
-        raise CannotDo("not-by-raw", f"{text[:2]} is no exchange of a line for a line", "use a terminal for it")
+        raise Refusal("not-by-raw", f"{text[:2]} is not answered by a single line", "use a terminal for this command")
     try:
-        replies = [await ask_all(part) for part in parts]
-    except CannotDo as refusal:
+        replies = [await query_all(part) for part in parts]
+    except Refusal as refusal:
         return f"? {refusal}"
     return "\n".join(each for lines in replies for each in lines)
 
 
-def _commands(line: str) -> list[str]:
-    """The commands of a line: parted by semicolons outside quotes."""
+def _split_commands(line: str) -> list[str]:
+    """Split a command line at semicolons outside quotes."""
     parts, quoted = [""], False
     for character in line:
         quoted ^= character == '"'

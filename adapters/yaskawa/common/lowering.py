@@ -1,46 +1,50 @@
-"""Profiles turned into what the controller executes, and what is promised about it.
+"""Lowering: profiles compiled to what the controller executes, and the guarantees for it.
 
-The rule, for all axes of a step together, because one begin starts them: independent moves (PA, SP, AC, DC) when the
-registers make every trapezoid last as planned to a fifth of a sample, or a little longer where a limit holds it (the
-plan follows that), and keep near its path; else a contour. A step of trapezoids that no contour can hold either is
-made by the registers all the same, and its durations say how far they are off.
+The same rule applies to all axes of a step, because one begin command starts them: independent moves (PA, SP, AC, DC)
+when the registers reproduce the duration of every trapezoid to a fifth of a sample, or a little longer where a limit
+restricts it (the plan is stretched to that), and stay near its path; otherwise a contour. If no contour can hold a step
+of trapezoids either, the registers execute it all the same, and its durations state the deviation.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from adapters.contract import CannotDo, Lowered, require_how
+from adapters.contract import Lowered, require_start_class
 from adapters.yaskawa.common import arrays, lines
-from adapters.yaskawa.common.contour import Contour, Room, fit_contour, increments, least_interval
-from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, Model
-from adapters.yaskawa.common.options import Options
-from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array, entry, letters
+from adapters.yaskawa.common.contour import Contour, ContourLimits, axis_increments, fit_contour, least_interval
+from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
+from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array_name, axis_letters, entry_label
 from adapters.yaskawa.common.registers import exact_ramp
-from adapters.yaskawa.common.trapezoid import Bounds, Place, Trapezoid, fit
+from adapters.yaskawa.common.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs, StartClass
+from orchestrator.model.state import StartClass, StepCosts
 
-CLASSES: tuple[StartClass, ...] = ("clock", "line")
+START_CLASSES: tuple[StartClass, ...] = ("clock", "line")
 STOP_EXCHANGES = 3  # a stop of motion is three commands
-CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their reading back and the short array, beyond an independent move's
-OFF_SAMPLES = 0.2  # an independent move may last so much longer or shorter than planned
-STRETCH = 1e-3  # or longer by this part of it, where a limit holds it: the plan is stretched to it
-SKEW_SAMPLES = 10.0  # and be so far from its plan on the way, at its peak speed,
-NEAR_COUNTS = 2.0  # or so many counts
-LATER_TICKS = 4.0  # an end that all members have in common is later than the plan's by no more
-HOST_COMMANDS = 2  # of the host, that may come into one round of the contour's loop: one before each of its lines
-LOOP_SPREAD = 2.0  # how much longer a command may take: what expressions add is not stated (L1626)
+CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their verification and the short array, in addition to an independent move
+DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's duration from the plan
+STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
+SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
+NEAR_COUNTS = 2.0  # or this number of counts
+LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
+HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
+LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
 
 
 @dataclass(frozen=True, slots=True)
-class AxisMove:
-    """One axis's move. index: 0 is X. start, end: absolute commanded positions, counts. samples: from the begin to
-    the last commanded position, 0 for an axis that stands still."""
+class YaskawaAxisMove:
+    """One axis's move.
+
+    index: 0 is X.
+    start, end: absolute commanded positions, counts.
+    samples: from the begin to the last commanded position, 0 for an axis at rest."""
 
     axis: str
     index: int
@@ -50,31 +54,31 @@ class AxisMove:
 
 
 @dataclass(frozen=True, slots=True)
-class LoweredMoves(Lowered):
-    """What arming needs beyond the contract."""
+class YaskawaLowered(Lowered):
+    """A lowered step with what arming needs beyond the contract."""
 
-    moves: tuple[AxisMove, ...]
+    moves: tuple[YaskawaAxisMove, ...]
     mask: int
-    load: "Registers | Records"
-    waits: lines.Wait | None = None
-    drives: lines.Drive | None = None
+    load: "RegisterLoad | ContourLoad"
+    waits: lines.ProgramWait | None = None
+    drives: lines.ProgramOutput | None = None
 
     @property
-    def way(self) -> tuple[AxisMove, ...]:
+    def moving_axes(self) -> tuple[YaskawaAxisMove, ...]:
         """The axes that move."""
         return tuple(move for move in self.moves if move.samples)
 
 
 @dataclass(frozen=True, slots=True)
-class Registers:
+class RegisterLoad:
     """Independent moves. ends, shapes: by index of the axis."""
 
     ends: Mapping[int, int]
-    shapes: Mapping[int, Trapezoid]
+    shapes: Mapping[int, RegisterTrapezoid]
 
     @property
-    def held(self) -> dict[str, dict[int, int]]:
-        """By command the values of axes, for reading back."""
+    def register_values(self) -> dict[str, dict[int, int]]:
+        """Return the values of axes by command, for verification."""
         shapes = self.shapes.items()
         return {
             "SP": {index: shape.speed for index, shape in shapes},
@@ -83,261 +87,276 @@ class Registers:
         }
 
     @property
-    def commands(self) -> tuple[str, ...]:
-        """What loads them; axes without a way are not touched."""
+    def load_commands(self) -> tuple[str, ...]:
+        """Return the commands that load the registers; axes without motion are not touched."""
         if not self.ends:
             return ()
-        return tuple(f"{command} {fields(values)}" for command, values in {"PA": self.ends, **self.held}.items())
+        return tuple(
+            f"{command} {format_fields(values)}"
+            for command, values in {"PA": self.ends, **self.register_values}.items()
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Records:
-    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. packets: how it is loaded."""
+class ContourLoad:
+    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. packets: how its arrays are
+    transferred."""
 
     contour: Contour
     profiles: Mapping[int, Profile]
     ends: Mapping[int, int]
     brakes: Mapping[int, int]
-    packets: arrays.Packets = arrays.PACKETS
+    packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
 
     @property
-    def held(self) -> dict[str, dict[int, int]]:
-        """By command the values of axes, for reading back."""
+    def register_values(self) -> dict[str, dict[int, int]]:
+        """Return the values of axes by command, for verification."""
         return {"DC": dict(self.brakes)}
 
-    def arrays(self, phase: float, tick_ns: float) -> dict[str, list[int]]:
-        """The arrays' contents for a start `phase` samples after T0, with samples of `tick_ns`."""
+    def array_contents(self, phase: float, tick_ns: float) -> dict[str, list[int]]:
+        """Return the contents of the arrays for a start `phase` samples after T0, with samples of `tick_ns`."""
         filled = {
-            array(index): increments(profile, self.ends[index], self.contour, phase, tick_ns)
+            array_name(index): axis_increments(profile, self.ends[index], self.contour, phase, tick_ns)
             for index, profile in self.profiles.items()
         }
         return filled | ({TAIL: list(self.contour.tail)} if self.contour.tail else {})
 
     @property
-    def variables(self) -> dict[str, int]:
-        return {"XN": self.contour.records, "XM": self.contour.count, "XDT": self.contour.interval}
+    def program_variables(self) -> dict[str, int]:
+        return {"XN": self.contour.records, "XM": self.contour.record_count, "XDT": self.contour.interval}
 
     @property
-    def commands(self) -> tuple[str, ...]:
-        names = ", ".join(array(index) for index in self.profiles)
+    def load_commands(self) -> tuple[str, ...]:
+        names = ", ".join(array_name(index) for index in self.profiles)
         tail = f", then one each of {', '.join(str(1 << n) for n in self.contour.tail)}" if self.contour.tail else ""
         return (
             f"contour: {self.contour.records} records of {1 << self.contour.interval} samples{tail}",
-            f"DC {fields(self.brakes)}",
-            f"QD {names}: {self.contour.count} increments each",
+            f"DC {format_fields(self.brakes)}",
+            f"QD {names}: {self.contour.record_count} increments each",
         )
 
 
-def fields(values: Mapping[int, int]) -> str:
-    """Values by axis index, as the fields of a command: `100,,-5`."""
+def format_fields(values: Mapping[int, int]) -> str:
+    """Format values by axis index as the fields of a command: `100,,-5`."""
     return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
 
 
 def lower_moves(
     config: Controller,
     motors: Mapping[str, int],
-    options: Options,
-    costs: Costs,
+    options: YaskawaOptions,
+    costs: StepCosts,
     profiles: Mapping[str, Profile],
-    how: StartWay,
+    start: StartOptions,
     mapping: TickMapping | None,
-    model: Model = SMC4000,
-    packets: arrays.Packets = arrays.PACKETS,
-) -> LoweredMoves:
-    """Pure. motors: index of each axis. Raises `CannotDo` naming the axis and what would fit.
+    model: ModelTraits = SMC4000,
+    packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER,
+) -> YaskawaLowered:
+    """Lower the profiles of a step. Pure. motors: index of each axis. Raises `Refusal` that names the axis and what
+    would fit.
 
-    Where uploads are slow, trapezoids are made by the registers, however far they are off.
+    Where uploads are slow, the registers execute trapezoids, whatever their deviation.
     """
-    require_how(how, CLASSES, "its own clock is never worse than a command from the host")
-    if how.by == "line" and how.wait is None:
-        raise CannotDo("start-class", "no line is wired to start it by", "say `wiring` in the fleet file")
+    require_start_class(start, START_CLASSES, "its own clock is never less accurate than a command from the host")
+    if start.start_class == "line" and start.wait is None:
+        raise Refusal("start-class", "no trigger line is wired that could start it", "add `wiring` to the fleet file")
     if mapping is None:
-        raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
+        raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
     tick_ns = mapping.tick_ns
     bounds = {
-        axis: Bounds(config.axes[axis].limits.velocity * scale, config.axes[axis].limits.acceleration * scale)
+        axis: YaskawaBounds(config.axes[axis].limits.velocity * scale, config.axes[axis].limits.acceleration * scale)
         for axis in profiles
         for scale in [float(config.axes[axis].scale)]
     }
     way = {axis: profile for axis, profile in profiles.items() if profile.end_counts != profile.start_counts}
-    places = _places(way, mapping, how) if how.exact and how.wait is None else {}
-    shapes, why = _by_registers(way, bounds, tick_ns, model, places)
-    load: Registers | Records
+    places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
+    shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
+    load: RegisterLoad | ContourLoad
     note: tuple[str, ...] = ()
-    slow = isinstance(packets, arrays.SlowUpload)
+    slow = isinstance(packets, arrays.SlowArrayTransfer)
     if shapes is not None and (slow or not why):
-        load = _registers(shapes, way, motors)
+        load = _build_registers(shapes, way, motors)
         note = (f"({why})",) if why else ()
     else:
         try:
-            load = _by_contour(way, motors, bounds, options, tick_ns, model, packets, how.brake_s)
+            load = _lower_to_contour(way, motors, bounds, options, tick_ns, model, packets, start.brake_s)
             note = (f"({why})",) if why else ()
-        except CannotDo as refusal:
+        except Refusal as refusal:
             if shapes is None:
                 raise
-            load = _registers(shapes, way, motors)
+            load = _build_registers(shapes, way, motors)
             note = (f"({why}; no contour: {refusal})",)
-    return _promise(config, load, note, profiles, motors, options, costs, how, mapping, packets)
+    return _make_lowered(config, load, note, profiles, motors, options, costs, start, mapping, packets)
 
 
-def _by_registers(
+def _lower_to_registers(
     way: Mapping[str, Profile],
-    bounds: Mapping[str, Bounds],
+    bounds: Mapping[str, YaskawaBounds],
     tick_ns: float,
-    model: Model,
-    places: Mapping[str, Place],
-) -> tuple[dict[str, Trapezoid] | None, str]:
-    """The trapezoids, None where an axis's profile is none; and why they should rather be a contour, or nothing.
+    model: ModelTraits,
+    places: Mapping[str, SampleAlignment],
+) -> tuple[dict[str, RegisterTrapezoid] | None, str]:
+    """Return the trapezoids, None where an axis's profile is not one; and why a contour is preferable, or an empty
+    text.
 
-    places: where axes should lie on the samples; where the registers can not do that, as near to the plan as they can.
+    places: the intended alignment of axes to the samples; where the registers cannot reach it, the nearest to the plan.
     """
     try:
-        shapes = fit(way, bounds, tick_ns, model, places) if places else {}
-        # Where they can not end in their place, as near to the plan as if there were none.
+        shapes = fit_registers(way, bounds, tick_ns, model, places) if places else {}
+        # Where the intended sample cannot be reached, choose as if no alignment were given.
         others = {
             axis: profile
             for axis, profile in way.items()
             if axis not in shapes
-            or shapes[axis].samples != places[axis].last
-            or not _near(shapes[axis], profile, tick_ns)
+            or shapes[axis].whole_samples != places[axis].last
+            or not _stays_near_plan(shapes[axis], profile, tick_ns)
         }
-        shapes |= fit(others, bounds, tick_ns, model) if others else {}
-    except CannotDo as refusal:
-        if refusal.refusal.code != "shape":
+        shapes |= fit_registers(others, bounds, tick_ns, model) if others else {}
+    except Refusal as refusal:
+        if refusal.code != "shape":
             raise
         return None, ""
     for axis, profile in others.items():
         shape = shapes[axis]
-        if not _suffices(shape, profile, tick_ns):
+        if not _registers_suffice(shape, profile, tick_ns):
             return shapes, (
-                f"by its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and goes up to "
-                f"{shape.path_error_counts:.0f} counts beside its plan"
+                f"with its registers {axis} ends {shape.off * tick_ns * 1e-6:+.2f} ms off and deviates "
+                f"from its plan by up to {shape.path_error_counts:.0f} counts"
             )
     return shapes, ""
 
 
-def _places(way: Mapping[str, Profile], mapping: TickMapping, how: StartWay) -> dict[str, Place]:
-    """Each axis at the samples next to where all should begin and end."""
-    at = mapping.ticks(mapping.host_at_ns + how.lead_ns)
+def _sample_alignments(
+    way: Mapping[str, Profile], mapping: TickMapping, start: StartOptions
+) -> dict[str, SampleAlignment]:
+    """Return each axis's alignment: the samples next to the common begin and end."""
+    at = mapping.ticks(mapping.host_at_ns + start.lead_ns)
     phase = round(at) - at
-    places: dict[str, Place] = {}
+    places: dict[str, SampleAlignment] = {}
     for axis, profile in way.items():
         ends_ns = profile.duration_s * 1e9
         # An axis that ends before the others has an end of its own.
-        ends_ns = how.end_ns if 0.0 <= how.end_ns - ends_ns <= LATER_TICKS * mapping.tick_ns else ends_ns
-        places[axis] = Place(phase, round(ends_ns / mapping.tick_ns - phase))
+        ends_ns = start.end_ns if 0.0 <= start.end_ns - ends_ns <= LATER_TICKS * mapping.tick_ns else ends_ns
+        places[axis] = SampleAlignment(phase, round(ends_ns / mapping.tick_ns - phase))
     return places
 
 
-def _suffices(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:
-    in_time = abs(shape.off) <= OFF_SAMPLES
+def _registers_suffice(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
+    in_time = abs(shape.off) <= DURATION_TOLERANCE_SAMPLES
     held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
-    return (in_time or held) and _near(shape, profile, tick_ns)
+    return (in_time or held) and _stays_near_plan(shape, profile, tick_ns)
 
 
-def _near(shape: Trapezoid, profile: Profile, tick_ns: float) -> bool:
-    """Whether it keeps near its plan on the way."""
+def _stays_near_plan(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
+    """Return whether the move stays near its plan."""
     peak = profile.peak_velocity * tick_ns * 1e-9
     return shape.path_error_counts <= max(NEAR_COUNTS, SKEW_SAMPLES * peak)
 
 
-def _registers(shapes: Mapping[str, Trapezoid], way: Mapping[str, Profile], motors: Mapping[str, int]) -> Registers:
+def _build_registers(
+    shapes: Mapping[str, RegisterTrapezoid], way: Mapping[str, Profile], motors: Mapping[str, int]
+) -> RegisterLoad:
     ends = {motors[axis]: profile.end_counts for axis, profile in way.items()}
-    return Registers(ends, {motors[axis]: shape for axis, shape in shapes.items()})
+    return RegisterLoad(ends, {motors[axis]: shape for axis, shape in shapes.items()})
 
 
-def _by_contour(
+def _lower_to_contour(
     way: Mapping[str, Profile],
     motors: Mapping[str, int],
-    bounds: Mapping[str, Bounds],
-    options: Options,
+    bounds: Mapping[str, YaskawaBounds],
+    options: YaskawaOptions,
     tick_ns: float,
-    model: Model,
-    packets: arrays.Packets,
+    model: ModelTraits,
+    packets: arrays.ArrayTransfer,
     brake_s: float,
-) -> Records:
+) -> ContourLoad:
     if not model.contours:
-        raise CannotDo(
+        raise Refusal(
             "order",
-            f"axis {next(iter(way))}: the profile is no trapezoid; contours are not played on so many axes",
-            "leave `jerk` out of its limits, and move it from standstill to standstill",
+            f"axis {next(iter(way))}: the profile is not a trapezoid; contours are not supported for this "
+            "number of axes",
+            "remove `jerk` from its limits, and move it from standstill to standstill",
         )
-    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.turns) * LOOP_SPREAD * options.decode_us * NS_PER_US
-    room = Room(
+    loop_ns = (LOOP_COMMANDS + HOST_COMMANDS + model.interleaved_commands) * LOOP_SPREAD * options.decode_us * NS_PER_US
+    room = ContourLimits(
         options.array_elements - TAIL_LENGTH, least_interval(loop_ns, tick_ns, model), options.contour_sag_counts
     )
 
-    def records(within: Room) -> Records:
+    def build_records(within: ContourLimits) -> ContourLoad:
         contour = fit_contour(way, tick_ns, within, model)
-        return Records(
+        return ContourLoad(
             contour,
             {motors[axis]: profile for axis, profile in way.items()},
             {motors[axis]: contour.ends[axis] for axis in way},
             {
-                motors[axis]: exact_ramp(axis, _brake(bounds[axis].acceleration, profile, brake_s), tick_ns * 1e-9)
+                motors[axis]: exact_ramp(
+                    axis, _common_deceleration(bounds[axis].acceleration, profile, brake_s), tick_ns * 1e-9
+                )
                 for axis, profile in way.items()
             },
             packets,
         )
 
-    load = records(room)
-    if isinstance(packets, arrays.SlowUpload):
-        return _soon_enough(load, records, room, tick_ns, model, packets)
+    load = build_records(room)
+    if isinstance(packets, arrays.SlowArrayTransfer):
+        return _limit_upload(load, build_records, room, tick_ns, model, packets)
     return load
 
 
-def _brake(most: float, profile: Profile, brake_s: float) -> float:
-    """The deceleration of an axis with which all axes of the step, stopped together, stay on their common path."""
+def _common_deceleration(most: float, profile: Profile, brake_s: float) -> float:
+    """Return the deceleration of an axis that keeps all axes of the step on their common path when they are stopped
+    together."""
     return min(most, profile.peak_velocity / brake_s) if brake_s else most
 
 
-def _soon_enough(
-    shortest: Records,
-    records: Callable[[Room], Records],
-    room: Room,
+def _limit_upload(
+    shortest: ContourLoad,
+    records: Callable[[ContourLimits], ContourLoad],
+    room: ContourLimits,
     tick_ns: float,
-    model: Model,
-    upload: arrays.SlowUpload,
-) -> Records:
-    """The shortest records whose upload takes no longer than it may, as far as they keep near enough to the plan."""
+    model: ModelTraits,
+    upload: arrays.SlowArrayTransfer,
+) -> ContourLoad:
+    """Return the shortest records whose upload is within its time limit, as long as they stay near enough to the
+    plan."""
     load, remedy = shortest, ""
-    takes_s = shortest_s = upload.takes_ns(shortest.arrays(0.0, tick_ns)) * 1e-9
+    takes_s = shortest_s = upload.load_duration_ns(shortest.array_contents(0.0, tick_ns)) * 1e-9
     while takes_s > upload.most_s and load.contour.interval < model.intervals[1]:
         try:
             load = records(replace(room, least_interval=load.contour.interval + 1))
-        except CannotDo:
-            # Longer records can not hold its speed.
+        except Refusal:
+            # Longer records cannot represent its speed.
             break
-        takes_s = upload.takes_ns(load.arrays(0.0, tick_ns)) * 1e-9
+        takes_s = upload.load_duration_ns(load.array_contents(0.0, tick_ns)) * 1e-9
     sag_counts = max(load.contour.sag_counts.values())
     if takes_s <= upload.most_s:
         if load is shortest or sag_counts <= room.sag_counts:
             return load
         remedy = (
-            f"records of {1 << load.contour.interval} samples would take {takes_s:.0f} s and leave the plan by "
-            f"{sag_counts:.1f} counts between them: raise contour_sag_counts to that; or "
+            f"records of {1 << load.contour.interval} samples would take {takes_s:.0f} s and deviate from "
+            f"the plan by {sag_counts:.1f} counts between them: raise contour_sag_counts to that; or "
         )
     most_s = upload.most_s / shortest_s * max(profile.duration_s for profile in shortest.profiles.values())
-    raise CannotDo(
+    raise Refusal(
         "upload-too-long",
-        f"the {shortest.contour.count} records of each of {len(shortest.profiles)} axes would take {shortest_s:.0f} s "
-        f"to load over this line, allowed are {upload.most_s:g} s",
+        f"the {shortest.contour.record_count} records of each of {len(shortest.profiles)} axes would take "
+        f"{shortest_s:.0f} s to load over this line, allowed are {upload.most_s:g} s",
         f"{remedy}at most {most_s:.1f} s of motion, or fewer axes, or raise contour_upload_s",
     )
 
 
-def _promise(
+def _make_lowered(
     config: Controller,
-    load: Registers | Records,
+    load: RegisterLoad | ContourLoad,
     note: tuple[str, ...],
     profiles: Mapping[str, Profile],
     motors: Mapping[str, int],
-    options: Options,
-    costs: Costs,
-    how: StartWay,
+    options: YaskawaOptions,
+    costs: StepCosts,
+    start: StartOptions,
     mapping: TickMapping,
-    packets: arrays.Packets,
-) -> LoweredMoves:
+    packets: arrays.ArrayTransfer,
+) -> YaskawaLowered:
     tick_ns = mapping.tick_ns
     lengths: dict[str, float] = {}
     samples: dict[str, int] = {}
@@ -347,55 +366,56 @@ def _promise(
     for axis, profile in profiles.items():
         index = motors[axis]
         lengths[axis], samples[axis], errors[axis] = 0.0, 0, 0.0
-        if isinstance(load, Registers) and index in load.shapes:
+        if isinstance(load, RegisterLoad) and index in load.shapes:
             shape = load.shapes[index]
-            lengths[axis], samples[axis], errors[axis] = shape.length, shape.samples, shape.path_error_counts
-            # A stop brakes with the move's own DC, which a gentle move has set lower than the axis's limit.
+            lengths[axis], samples[axis], errors[axis] = shape.length, shape.whole_samples, shape.path_error_counts
+            # A stop brakes with the move's own DC, which a gentle move sets below the axis's limit.
             brakes_ns.append(shape.speed / shape.down * RAMP_UNIT / SPEED_UNIT * tick_ns)
-        elif isinstance(load, Records) and index in load.ends:
+        elif isinstance(load, ContourLoad) and index in load.ends:
             planned = profile.duration_s * 1e9 / tick_ns
             samples[axis] = load.ends[index]
-            # The path is the plan's own; only its last count waits for a record to end.
+            # The path is that of the plan; only its last count is delayed to the end of a record.
             lengths[axis] = planned if abs(samples[axis] - planned) <= 1.0 else samples[axis]
             errors[axis] = 1.0 + load.contour.sag_counts[axis]
             brakes_ns.append(profile.peak_velocity * tick_ns / load.brakes[index] * RAMP_UNIT * tick_ns * 1e-9)
-    if isinstance(load, Records):
+    if isinstance(load, ContourLoad):
         loading_ns = _loading_ns(load, options, tick_ns)
     moves = tuple(
-        AxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])
+        YaskawaAxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])
         for axis, profile in profiles.items()
     )
-    # An axis that stands still is not begun; the time it is given has no meaning.
+    # An axis at rest is not started; its duration has no meaning.
     mask = sum(1 << move.index for move in moves if move.samples)
-    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + how.lead_ns)
-    waits = None if how.wait is None else lines.wait(config, how.wait)
-    drives = None if how.drive is None else lines.drive(config, how.drive, tick_ns)
-    contour = isinstance(load, Records)
-    begin = f"CD of {letters(mask)}" if contour else f"BG{letters(mask)}"
-    return LoweredMoves(
+    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns)
+    waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
+    drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
+    contour = isinstance(load, ContourLoad)
+    begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
+    return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
         path_error_counts=errors,
-        terms=lines.clock_terms(bound_ns, options, mapping, how, drives is not None)
-        if waits is None or how.wait is None
-        else lines.wait_terms(how.wait, waits, options, tick_ns),
-        edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, how),
+        terms=lines.clock_terms(bound_ns, options, mapping, start, drives is not None)
+        if waits is None or start.wait is None
+        else lines.wait_terms(start.wait, waits, options, tick_ns),
+        edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
-        # On a line where uploads are slow, another T0 takes longer to tell than it is sooner.
-        sooner=not isinstance(packets, arrays.SlowUpload),
+        # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
+        can_advance=not isinstance(packets, arrays.SlowArrayTransfer),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
-                # Uploads add up on their line.
-                "by_turns": costs.by_turns and not loading_ns,
+                # Uploads of controllers on one line add up.
+                "interleaved": costs.interleaved and not loading_ns,
                 "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
             }
         ),
         commands=(
-            *load.commands,
+            *load.load_commands,
             *([] if drives is None else [f"XQ #EDGE,3  (waits for T0, then OB{drives.number},{drives.level})"]),
-            f"XQ {entry(mask, contour)},0  (waits for {'T0' if waits is None else f'AI {waits.number}'}, then {begin})",
+            f"XQ {entry_label(mask, contour)},0  "
+            f"(waits for {'T0' if waits is None else f'AI {waits.number}'}, then {begin})",
             *note,
         ),
         moves=moves,
@@ -406,10 +426,13 @@ def _promise(
     )
 
 
-def _loading_ns(load: Records, options: Options, tick_ns: float) -> int:
-    """How long arming takes beyond an independent move's."""
-    if isinstance(load.packets, arrays.SlowUpload):
-        return load.packets.takes_ns(load.arrays(0.0, tick_ns)) + CONTOUR_EXCHANGES * load.packets.exchange_ns
+def _loading_ns(load: ContourLoad, options: YaskawaOptions, tick_ns: float) -> int:
+    """Return how much longer arming takes than for an independent move."""
+    if isinstance(load.packets, arrays.SlowArrayTransfer):
+        return (
+            load.packets.load_duration_ns(load.array_contents(0.0, tick_ns))
+            + CONTOUR_EXCHANGES * load.packets.exchange_ns
+        )
     longest_s = tick_ns * 1e-9 * (1 << load.contour.interval)
     digits = [len(str(round(profile.peak_velocity * longest_s) + 2)) for profile in load.profiles.values()]
-    return (arrays.exchanges(load.contour.count, digits) + CONTOUR_EXCHANGES) * options.exchange_ns
+    return (arrays.count_exchanges(load.contour.record_count, digits) + CONTOUR_EXCHANGES) * options.exchange_ns

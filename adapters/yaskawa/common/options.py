@@ -1,4 +1,4 @@
-"""What `options:` of a controller may say in the fleet file, for controllers of this dialect."""
+"""The `options:` of a controller of this dialect in the fleet file."""
 
 import math
 from typing import Annotated
@@ -12,72 +12,80 @@ from orchestrator.model.base import Id, Model
 Microseconds = Annotated[int, Field(ge=0, le=1_000_000)]
 
 
-class Options(Model):
-    """Options of an SMC-4000. Times are the firmware's own; the manual gives only "about 0.5 ms" a command (L1626)."""
+class YaskawaOptions(Model):
+    """Options of an SMC-4000. Times are the firmware's own; the manual gives only "about 0.5 ms" per command
+    (L1626)."""
 
-    timeout_s: float = Field(default=1.0, gt=0, le=60, description="A reply that takes longer is a fault, s.")
+    timeout_s: float = Field(default=1.0, gt=0, le=60, description="Timeout of a reply, s; a later reply is a fault.")
     replace_program: bool = Field(
         default=True, description="Replace another program in the controller, when none is running."
     )
     servo_period_us: int = Field(
-        default=1000, ge=250, le=20000, description="TM as the unit is set up; 1000 means 1/1024 s (L10619)."
+        default=1000, ge=250, le=20000, description="TM as configured in the controller; 1000 means 1/1024 s (L10619)."
     )
-    decode_us: Microseconds = Field(default=500, description="From a command's last character to its effect, µs.")
+    decode_us: Microseconds = Field(
+        default=500, description="Longest time from a command's last character to its effect, µs."
+    )
     decode_min_us: Microseconds = Field(
-        default=250, description="The same, at the least, µs: a reading of the counter is no older than this."
+        default=250,
+        description="Shortest time from a command's last character to its effect, µs: a reading of the counter is no "
+        "older than this.",
     )
     begin_max_us: Microseconds = Field(
-        default=1500, description="From the sample that ends the wait to BG's effect, at the most, µs."
+        default=1500, description="Longest time from the sample that ends the wait to BG's effect, µs."
     )
     input_fall_us: Microseconds = Field(
-        default=500, description="From an input's terminal going low to the firmware, at the most, µs (L407-411)."
+        default=500, description="Longest time from an input's terminal going low to the firmware, µs (L407-411)."
     )
     input_rise_us: Microseconds = Field(default=1500, description="The same for going high, µs.")
     round_trip_us: Microseconds = Field(
-        default=4000, description="What the network adds to one exchange, at the most, µs; for the costs declared."
+        default=4000, description="Largest network time of one exchange, µs; for the declared costs."
     )
     array_elements: int = Field(
         default=15000,
         ge=100,
         le=15000,
-        description="Elements of the controller's arrays that contours may take (L15876).",
+        description="Elements of the controller's arrays that contours may use (L15876).",
     )
     contour_sag_counts: float = Field(
         default=10.0,
         ge=0,
-        description="What a contour that is too long for the shortest records may leave its plan by between longer "
-        "ones, counts.",
+        description="Largest deviation from its plan, between records, of a contour that is too long for the "
+        "shortest records, counts.",
     )
     watchdog_s: float = Field(
         default=1.0,
         ge=0.25,
         le=60,
-        description="A move that the adapter has said nothing of for so long is stopped by the controller itself, s.",
+        description="The controller itself stops a move when the adapter has not extended its watchdog deadline for "
+        "this long, s.",
     )
     motor_type: dict[Id, float] = Field(
-        default={}, description="By axis, the motor type (MT) that the unit must be set to: 1, -1, 2, -2, 2.5, -2.5."
+        default={},
+        description="By axis, the motor type (MT) that the controller must be set to: 1, -1, 2, -2, 2.5, -2.5.",
     )
 
-    def begin_ticks(self, tick_ns: float, beside: bool = False) -> tuple[int, int]:
-        """Between how many samples after XT0 moves begin: BG or CD takes effect some time after it, at a whole one.
+    def begin_ticks(self, tick_ns: float, interleaved: bool = False) -> tuple[int, int]:
+        """Return the earliest and latest number of samples after XT0 at which moves begin: BG or CD takes effect some
+        time after it, at a whole sample.
 
-        beside: a command of another thread may come first.
+        interleaved: a command of another thread may come first.
         """
-        latest_us = self.begin_max_us + (self.beside_us if beside else 0)
+        latest_us = self.begin_max_us + (self.interleaved_us if interleaved else 0)
         first = math.floor(self.decode_min_us * NS_PER_US / tick_ns) + 1
         return first, max(first, math.floor(latest_us * NS_PER_US / tick_ns) + 1)
 
     @property
     def tick_ns(self) -> float:
-        """A sample as the unit is set up."""
+        """The sample period as configured in the controller."""
         return self.servo_period_us / 1000 / SAMPLES_PER_S * NS_PER_S
 
     @property
-    def beside_us(self) -> int:
-        """What a command of another thread takes, at the most, µs: expressions may double it (L1626)."""
+    def interleaved_us(self) -> int:
+        """The longest duration of a command of another thread, µs: expressions may double it (L1626)."""
         return 2 * self.decode_us
 
     @property
     def exchange_ns(self) -> int:
-        """One command and its reply, at the most, ns."""
+        """The longest duration of one command and its reply, ns."""
         return (self.decode_us + self.round_trip_us) * NS_PER_US

@@ -1,6 +1,6 @@
-"""The binary data record (QR): state of inputs, outputs and all axes, stamped with the sample that it was taken in.
+"""The binary data record (QR): state of inputs, outputs and all axes, stamped with the sample in which it was taken.
 
-Sizes come from QZ, because firmware differs in them (L8983-9104); positions within a block are the manual's
+Sizes come from QZ, because firmware versions differ in them (L8983-9104); positions within a block are the manual's
 (L8697-8919) with the item sizes of section L8969-8973. Little endian.
 """
 
@@ -8,7 +8,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from adapters.contract import DriverFault
+from orchestrator.model.errors import ControllerFault
 
 AXIS_LETTERS = "XYZWEFGH"  # the SMC-4000 has the first four, an SMC-2000 up to eight
 RECORD_LETTERS = "ABCD"  # the first four, as QR names them
@@ -44,19 +44,19 @@ class AxisRecord(NamedTuple):
     torque: int
 
     @property
-    def moving(self) -> bool:
+    def is_moving(self) -> bool:
         return bool(self.status & MOVING)
 
     @property
-    def stopping(self) -> bool:
+    def is_stopping(self) -> bool:
         return bool(self.status & STOPPING)
 
     @property
-    def enabled(self) -> bool:
+    def is_enabled(self) -> bool:
         return not self.status & MOTOR_OFF
 
 
-class Record(NamedTuple):
+class DataRecord(NamedTuple):
     """One data record. inputs, outputs: bit 0 is number 1."""
 
     sample: int
@@ -70,7 +70,7 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordFormat:
-    """How this controller's record for all its axes is asked for and laid out."""
+    """The request for this controller's record of all its axes, and its layout."""
 
     axes: int
     command: str
@@ -80,14 +80,14 @@ class RecordFormat:
 
     @classmethod
     def from_sizes(cls, line: str) -> "RecordFormat":
-        """From the reply to QZ: axes, bytes of the general, coordinate and axis blocks."""
+        """Build the format from the reply to QZ: axes, bytes of the general, coordinate and axis blocks."""
         fields = [field.strip() for field in line.split(",")]
         sizes = [int(field) for field in fields if field.isdigit()]
         if len(sizes) != 4 or not 1 <= sizes[0] <= 4 or sizes[1] < _GENERAL_BYTES or sizes[3] < _AXIS_BYTES:
-            raise DriverFault(
+            raise ControllerFault(
                 "garbage",
-                f"after 'QZ' expected axes 1..4 and block sizes of at least {_GENERAL_BYTES}, ., {_AXIS_BYTES}, "
-                f"got {line!r}",
+                f"after 'QZ' expected axes 1..4 and block sizes of at least {_GENERAL_BYTES}, ., "
+                f"{_AXIS_BYTES}, got {line!r}",
                 "is this an SMC-4000?",
             )
         axes, general, _, axis = sizes
@@ -102,9 +102,11 @@ class RecordFormat:
             struct.Struct(layout),
         )
 
-    def parse(self, data: bytes, sent_ns: int, received_ns: int) -> Record:
+    def parse_record(self, data: bytes, sent_ns: int, received_ns: int) -> DataRecord:
         values = self.layout.unpack(data)
         axes = tuple(
             AxisRecord(*values[at : at + _AXIS_FIELDS]) for at in range(5, 5 + self.axes * _AXIS_FIELDS, _AXIS_FIELDS)
         )
-        return Record(values[0], values[1][0], values[2][0], bool(values[4] & PROGRAM_RUNS), axes, sent_ns, received_ns)
+        return DataRecord(
+            values[0], values[1][0], values[2][0], bool(values[4] & PROGRAM_RUNS), axes, sent_ns, received_ns
+        )

@@ -1,67 +1,82 @@
-"""What the unit itself holds: read back, loaded where the fleet file says so, refused where it must not be changed."""
+"""The controller's stored settings: read back, loaded where the fleet file states them, refused where they must not be
+changed."""
 
 from collections.abc import Mapping
 
-from adapters.contract import DriverFault
-from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.smc4000.device import Device
+from adapters.yaskawa.smc4000.device import SmcDevice
+from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 
 POSITION_ERROR_MAX = 32767  # counts (L4962)
 NO_LIMITS = (-2147483648, 2147483647)  # BL and FL that are off (L3185, L5284)
 
 
-async def configure(device: Device, config: Controller, options: Options, motors: Mapping[str, int]) -> None:
-    """Raises `DriverFault` of code `config-mismatch` with item, found and wanted value."""
-    (period,), _ = await device.session.numbers("_TM")
+async def configure_controller(
+    device: SmcDevice, config: Controller, options: YaskawaOptions, motors: Mapping[str, int]
+) -> None:
+    """Verify and load the settings. Raises `ControllerFault` of code `config-mismatch` with item, found and expected
+    value."""
+    (period,), _ = await device.session.read_numbers("_TM")
     if int(period) != options.servo_period_us:
-        raise _mismatch("servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)")
+        raise _mismatch_fault(
+            "servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)"
+        )
     for name, index in motors.items():
-        await _axis(device, config, options, name, index)
+        await _configure_axis(device, config, options, name, index)
 
 
-async def load_limits(device: Device, motors: Mapping[str, int], limits: Mapping[str, tuple[int, int] | None]) -> None:
-    """BL and FL of axes, (low, high) in counts; None switches them off. Raises `DriverFault` (`config-mismatch`)."""
+async def load_soft_limits(
+    device: SmcDevice, motors: Mapping[str, int], limits: Mapping[str, tuple[int, int] | None]
+) -> None:
+    """Load BL and FL of axes, (low, high) in counts; None switches them off. Raises `ControllerFault`
+    (`config-mismatch`)."""
     for name, ends in limits.items():
         low, high = ends or NO_LIMITS
-        await _load(device, name, motors[name], {"BL": low, "FL": high})
+        await _load_registers(device, name, motors[name], {"BL": low, "FL": high})
 
 
-async def _axis(device: Device, config: Controller, options: Options, name: str, index: int) -> None:
+async def _configure_axis(
+    device: SmcDevice, config: Controller, options: YaskawaOptions, name: str, index: int
+) -> None:
     letter, axis, session = AXIS_LETTERS[index], config.axes[name], device.session
-    (smoothing, motor_type), _ = await session.numbers(f"_IT{letter}", f"_MT{letter}")
+    (smoothing, motor_type), _ = await session.read_numbers(f"_IT{letter}", f"_MT{letter}")
     if smoothing != 1.0:
-        # It lengthens every move by a time that no document gives (L6316-6362).
-        raise _mismatch(f"smoothing (IT{letter})", f"{smoothing:g}", "1", f"set IT{letter}=1 and burn it (BN)", name)
+        # IT lengthens every move by a time that no document states (L6316-6362).
+        raise _mismatch_fault(
+            f"smoothing (IT{letter})", f"{smoothing:g}", "1", f"set IT{letter}=1 and burn it (BN)", name
+        )
     wanted_type = options.motor_type.get(name)
     if wanted_type is not None and motor_type != wanted_type:
-        raise _mismatch(
+        raise _mismatch_fault(
             f"motor type (MT{letter})", f"{motor_type:g}", f"{wanted_type:g}", "check jumpers and option", name
         )
     if axis.following_error is not None:
         error = round(axis.following_error * float(axis.scale))
         if not 1 <= error <= POSITION_ERROR_MAX:
-            raise _mismatch(
+            raise _mismatch_fault(
                 f"following error (ER{letter})",
                 f"{error} counts in the fleet file",
                 f"1..{POSITION_ERROR_MAX}",
                 "correct `following_error` in the fleet file",
                 name,
             )
-        await _load(device, name, index, {"ER": error})
+        await _load_registers(device, name, index, {"ER": error})
 
 
-async def _load(device: Device, name: str, index: int, wanted: Mapping[str, int]) -> None:
+async def _load_registers(device: SmcDevice, name: str, index: int, wanted: Mapping[str, int]) -> None:
     """Load registers of an axis and read them back."""
     letter = AXIS_LETTERS[index]
     for command, value in wanted.items():
-        await device.session.tell(f"{command}{letter}={value}")
-        (held,), _ = await device.session.numbers(f"_{command}{letter}")
+        await device.session.send_command(f"{command}{letter}={value}")
+        (held,), _ = await device.session.read_numbers(f"_{command}{letter}")
         if held != value:
-            raise _mismatch(f"{command}{letter}", f"{held:.0f}", str(value), "does the unit take this value?", name)
+            raise _mismatch_fault(
+                f"{command}{letter}", f"{held:.0f}", str(value), "does the controller accept this value?", name
+            )
 
 
-def _mismatch(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> DriverFault:
+def _mismatch_fault(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> ControllerFault:
     where = f"axis {axis}: " if axis else ""
-    return DriverFault("config-mismatch", f"{where}{item} is {found}, wanted {wanted}", remedy, axis)
+    return ControllerFault("config-mismatch", f"{where}{item} is {found}, wanted {wanted}", remedy, axis)

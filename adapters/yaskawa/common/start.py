@@ -1,298 +1,308 @@
-"""A start at a sample: loaded, let through the gate, watched, and known by the program's own evidence."""
+"""A start at a sample: loaded, released at the gate, watched, and reported by the program's own evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from adapters.contract import CannotDo, DriverFault, Outcome, Span
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.yaskawa.common import arrays
-from adapters.yaskawa.common.lowering import AxisMove, LoweredMoves, Records, fields
-from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.lowering import ContourLoad, YaskawaAxisMove, YaskawaLowered, format_fields
+from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
-    DOG_THREAD,
     EDGE_THREAD,
     STEP_THREAD,
-    entry,
+    WATCHDOG_THREAD,
+    entry_label,
 )
-from adapters.yaskawa.common.record import AXIS_LETTERS, Record
-from adapters.yaskawa.common.words import stop_words
-from adapters.yaskawa.smc4000.device import Device
+from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
+from adapters.yaskawa.common.words import stop_code_meaning
+from adapters.yaskawa.smc4000.device import SmcDevice
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import ControllerFault, Refusal
 
 TICKS_MAX = 2_147_483_647  # L10613
-EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # a start is proven or disproven so long after its instant
+EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # time after its instant within which a start is proven or disproven
 WATCH_NS = 100 * NS_PER_MS
-FED_IN_TIME = 3  # controllers on one line of 19,200 baud that can be fed within half of the watchdog's time
+# controllers on one line of 19,200 baud whose watchdogs can be extended within half of the watchdog time
+WATCHDOG_SHARED_MOST = 3
 SETTLE_NS = 5 * NS_PER_MS
 
 
 @dataclass(slots=True)
-class _Loaded:
-    """What is loaded. ticks: XT0. started: by axis, once known."""
+class _LoadedMove:
+    """The loaded move. ticks: XT0. started: by axis, once known."""
 
-    lowered: LoweredMoves
+    lowered: YaskawaLowered
     ticks: int
     t0_ns: int
     mapping: TickMapping
-    started: dict[str, Span]
+    started: dict[str, HostInterval]
 
 
-class Start:
-    """The one move that the resident program can hold."""
+class SampleStart:
+    """The single move that the resident program can execute."""
 
     LATE_TICKS = 4
-    """Of a contour's stamps: from the last record to its stamp there are two commands."""
+    """Of a contour's stamps: two commands separate the last record from its stamp."""
 
-    def __init__(self, device: Device, clock: Clock, options: Options) -> None:
+    def __init__(self, device: SmcDevice, clock: Clock, options: YaskawaOptions) -> None:
         self._device = device
         self._clock = clock
         self._options = options
-        self._loaded: _Loaded | None = None
+        self._loaded: _LoadedMove | None = None
 
     # Before T0
 
-    async def arm(self, lowered: LoweredMoves, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load the registers, read them back, and send the program to its gate, where `verify` looks for it.
+    async def arm_move(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the registers, read them back, and start the program, which runs to its gate; `verify_armed` confirms
+        that.
 
-        All of that is told without waiting for the answers: whatever they are, the program goes no further.
+        All commands are sent without waiting for replies: whatever these are, the program does not pass its gate.
         """
         if mapping is None:
-            raise CannotDo("no-clock", "the controller's clock is not known yet", "wait a second")
+            raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
         began_ns = self._clock.now_ns()
-        first, _ = self._options.begin_ticks(mapping.tick_ns, beside=True)
+        first, _ = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         ticks = round(mapping.ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
-            raise CannotDo("counter-full", "the sample counter ends before the start", "restart the controller")
-        if mapping.ticks(began_ns) > ticks - self._device.gate.release:
-            raise CannotDo("late", "T0 is too near to arm", "give more lead time")
-        loaded = _Loaded(lowered, ticks, t0_ns, mapping, {})
-        await self._device.stops_carried_out()
-        self._require_ready(await self._device.record(), lowered)
+            raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
+        if mapping.ticks(began_ns) > ticks - self._device.gate.release_before:
+            raise Refusal("late", "T0 is too near to arm", "increase the lead time")
+        loaded = _LoadedMove(lowered, ticks, t0_ns, mapping, {})
+        await self._device.wait_for_stops()
+        self._require_ready(await self._device.read_record(), lowered)
         session, drives = self._device.session, lowered.drives
         checked_ns = self._clock.now_ns()
-        # The sample of the begin lies beside T0 by a part of one.
+        # The sample of the begin differs from T0 by a fraction of a sample.
         phase = ticks + first - mapping.ticks(t0_ns)
-        # An earlier step's dog would bite at this one's beginning, and a second one can not be begun (L10305).
-        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{DOG_THREAD}")
-        gate = (*shut, f"XT0={ticks}", f"XLI={_line(lowered)}", self._food(ticks))
-        if isinstance(lowered.load, Records):
-            await arrays.load(session, lowered.load.arrays(phase, mapping.tick_ns), lowered.load.packets)
+        # A watchdog left from an earlier step would fire when this one starts, and a second thread of it cannot be
+        # started (L10305).
+        shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", f"HX{WATCHDOG_THREAD}")
+        gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
+        if isinstance(lowered.load, ContourLoad):
+            await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)
         self._loaded = loaded
-        await self._load(lowered, gate, f"XQ {entry(lowered.mask, isinstance(lowered.load, Records))},{STEP_THREAD}")
+        await self._load_move(
+            lowered, gate, f"XQ {entry_label(lowered.mask, isinstance(lowered.load, ContourLoad))},{STEP_THREAD}"
+        )
         if drives is not None:
-            await session.tell_all((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.hold_ticks}"))
-            await session.tell(f"XQ #EDGE,{EDGE_THREAD}")
+            await session.send_settings((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.active_ticks}"))
+            await session.send_command(f"XQ #EDGE,{EDGE_THREAD}")
         return {"check": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
-    async def _load(self, lowered: LoweredMoves, gate: Sequence[str], then: str) -> None:
-        """Load the move, and with it what `gate` sets, ask for what was loaded, and tell `then` behind it. Raises
-        `CannotDo` if it is something else."""
+    async def _load_move(self, lowered: YaskawaLowered, gate: Sequence[str], then: str) -> None:
+        """Load the move and the variables in `gate`, read back what was loaded, and send `then` after it. Raises
+        `Refusal` if a value differs."""
         load = lowered.load
-        commands = load.commands
-        if isinstance(load, Records):
-            commands = (f"DC {fields(load.brakes)}", *(f"{name}={value}" for name, value in load.variables.items()))
+        commands = load.load_commands
+        if isinstance(load, ContourLoad):
+            commands = (
+                f"DC {format_fields(load.brakes)}",
+                *(f"{name}={value}" for name, value in load.program_variables.items()),
+            )
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
-            for command, values in self._registers(lowered).items()
+            for command, values in self._verified_registers(lowered).items()
             for index, value in values.items()
         }
-        if isinstance(load, Records):
-            wanted |= load.variables
-        wanted["XLI"] = _line(lowered)
-        held = await self._device.session.tell_and_read((*gate, *commands), list(wanted), then)
+        if isinstance(load, ContourLoad):
+            wanted |= load.program_variables
+        wanted["XLI"] = _wait_input_number(lowered)
+        held = await self._device.session.set_and_read((*gate, *commands), list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
-                raise CannotDo("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
+                raise Refusal("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
 
-    def _registers(self, lowered: LoweredMoves) -> Mapping[str, Mapping[int, int]]:
-        """What is read back, by command and axis."""
-        return lowered.load.held
+    def _verified_registers(self, lowered: YaskawaLowered) -> Mapping[str, Mapping[int, int]]:
+        """Return the registers to read back, by command and axis."""
+        return lowered.load.register_values
 
-    def _food(self, ticks: int) -> str:
-        """What keeps the dog quiet until some time after sample `ticks`."""
-        # On a line of many, one of its turns comes after those of all the others.
-        patience_s = self._options.watchdog_s * max(1.0, self._device.sharing / FED_IN_TIME)
+    def _watchdog_command(self, ticks: int) -> str:
+        """Return the command that sets the watchdog deadline to some time after sample `ticks`."""
+        # On a shared line, each controller waits for the turns of all the others.
+        patience_s = self._options.watchdog_s * max(1.0, self._device.sharing_count / WATCHDOG_SHARED_MOST)
         patience = round(patience_s * NS_PER_S / self._device.samples.tick_ns)
         return f"XDL={min(ticks + patience, TICKS_MAX)}"
 
-    def _require_ready(self, record: Record, lowered: LoweredMoves) -> None:
+    def _require_ready(self, record: DataRecord, lowered: YaskawaLowered) -> None:
         if lowered.waits is not None:
             lowered.waits.require_passive(record.inputs)
         if lowered.drives is not None:
             lowered.drives.require_passive(record.outputs)
         for move in lowered.moves:
             axis = record.axes[move.index]
-            if axis.moving:
-                raise CannotDo("moving", f"axis {move.axis} is moving", "wait, or stop it")
-            if not axis.enabled:
-                raise CannotDo("not-enabled", f"axis {move.axis} is not enabled", f"enable {move.axis} first")
+            if axis.is_moving:
+                raise Refusal("moving", f"axis {move.axis} is moving", "wait for its end, or stop it")
+            if not axis.is_enabled:
+                raise Refusal("not-enabled", f"axis {move.axis} is not enabled", f"enable {move.axis} first")
             if axis.commanded != move.start:
-                raise CannotDo(
+                raise Refusal(
                     "other-start",
-                    f"axis {move.axis} stands at {axis.commanded} counts; the plan starts at {move.start}",
-                    "plan again from where it stands",
+                    f"axis {move.axis} is at {axis.commanded} counts; the plan starts at {move.start}",
+                    "plan again from the present position",
                 )
 
-    async def verify(self) -> None:
-        """Just before the promise: until the program waits at its gate."""
+    async def verify_armed(self) -> None:
+        """Wait, before the commit, until the program is at its gate."""
         loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE")
-        record, (armed, running, late) = await self._device.record_and(*asked)
+        record, (armed, running, late) = await self._device.read_record_with(*asked)
         self._require_ready(record, loaded.lowered)
         while True:
-            # The program ends by itself, too, when it comes to its gate after that was to be shut.
+            # The program also ends by itself if it reaches its gate after the closing time.
             if late or self._clock.now_ns() > loaded.t0_ns:
-                raise CannotDo("late", "the gate is shut already", "give more lead time")
+                raise Refusal("late", "the gate is already shut", "increase the lead time")
             if not running:
-                raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+                raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
             if armed:
                 break
-            (armed, running, late), _ = await self._device.session.numbers(*asked)
+            (armed, running, late), _ = await self._device.session.read_numbers(*asked)
         if int(armed) != loaded.ticks:
-            raise CannotDo("not-armed", "the controller waits for another start", "arm again")
+            raise Refusal("not-armed", "the controller waits for another start", "arm it again")
 
-    async def go(self, sooner_ns: int) -> None:
-        """Open the gate, and see that the program went through. The gate and the wait behind it look at XT0 anew each
-        time: a sooner one is told in front of the release."""
+    async def open_gate(self, advance_ns: int) -> None:
+        """Open the gate, and verify that the program passed it. The gate and the following wait read XT0 each time: an
+        earlier T0 is sent before the release."""
         loaded, session = self._require_loaded(), self._device.session
-        told, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
-        if sooner_ns:
-            loaded.ticks -= round(sooner_ns / loaded.mapping.tick_ns)
-            loaded.t0_ns -= sooner_ns
-            told = [f"XT0={loaded.ticks}", self._food(loaded.ticks), *told]
+        sent, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
+        if advance_ns:
+            loaded.ticks -= round(advance_ns / loaded.mapping.tick_ns)
+            loaded.t0_ns -= advance_ns
+            sent = [f"XT0={loaded.ticks}", self._watchdog_command(loaded.ticks), *sent]
             asked.append("XT0")
-        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release:
-            raise CannotDo("late", "it is too late to release the start", "give more lead time")
-        opened_ns = await session.tell_all(told)
-        await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.soon * loaded.mapping.tick_ns))
+        if loaded.mapping.ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release_before:
+            raise Refusal("late", "it is too late to release the start", "increase the lead time")
+        opened_ns = await session.send_settings(sent)
+        await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.usual_delay * loaded.mapping.tick_ns))
         while True:
-            (passed, late, running, *ticks), _ = await session.numbers(*asked)
+            (passed, late, running, *ticks), _ = await session.read_numbers(*asked)
             if ticks and ticks[0] != loaded.ticks:
-                raise CannotDo("read-back", f"XT0 reads back as {ticks[0]:.0f}, not {loaded.ticks}", "try again")
+                raise Refusal("read-back", f"XT0 reads back as {ticks[0]:.0f}, not {loaded.ticks}", "try again")
             if late:
-                raise CannotDo("late", "the gate was shut before the release came", "give more lead time")
+                raise Refusal("late", "the gate was shut before the release came", "increase the lead time")
             if not running:
-                raise CannotDo("not-armed", "the controller does not wait for this start any more", "arm again")
+                raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
             if passed:
                 return
-            await sleep_ns(self._clock, round(self._device.gate.seen * loaded.mapping.tick_ns / 4))
+            await sleep_ns(self._clock, round(self._device.gate.longest_delay * loaded.mapping.tick_ns / 4))
 
-    async def disarm(self) -> None:
-        """Nothing starts from the program, now or later."""
+    async def disarm_move(self) -> None:
+        """Ensure that the program starts nothing, now or later."""
         self._loaded = None
         session = self._device.session
-        await self._device.unload()
-        await session.tell("XGO=0")
-        (running,), _ = await session.numbers(f"_HX{STEP_THREAD}")
+        await self._device.unload_program()
+        await session.send_command("XGO=0")
+        (running,), _ = await session.read_numbers(f"_HX{STEP_THREAD}")
         if running:
-            raise DriverFault("not-halted", "the waiting program does not halt", "reset the controller")
+            raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
-    def forget(self) -> None:
-        """What was loaded is not, any more."""
+    def drop_move(self) -> None:
+        """Drop the loaded move: the controller no longer has it."""
         self._loaded = None
 
-    def _require_loaded(self) -> _Loaded:
+    def _require_loaded(self) -> _LoadedMove:
         if self._loaded is None:
-            raise CannotDo("not-armed", "nothing is loaded", "arm it")
+            raise Refusal("not-armed", "no move is loaded", "arm it first")
         return self._loaded
 
     # After T0
 
-    async def started(self) -> Mapping[str, Span]:
-        """When the axes began.
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        """Return when the axes began.
 
-        BG took effect before XACT was read and after XT0 had come, and the command between the two takes less than
-        a sample: so it was in sample XACT or the one before it, and the profile's origin is a sample from the one that
-        BG fell into to the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge as far off
-        as the clock mapping may be. Behind a line, XT0 has no part in it.
+        BG took effect before XACT was read and after XT0 had come, and the command between the two takes less than a
+        sample: so it was in sample XACT or the one before it, and the profile's origin is between the sample of BG and
+        the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge is uncertain by the bound of
+        the clock mapping. For a start by trigger line, XT0 is irrelevant.
         """
         loaded = self._require_loaded()
         mapping, waits = loaded.mapping, loaded.lowered.waits
-        _, last = self._options.begin_ticks(mapping.tick_ns, beside=True)
+        _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         late_ns = sum(term.latest_ns for term in loaded.lowered.terms)
         await sleep_until_ns(self._clock, mapping.host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns))
         while True:
-            (acted, late, running), _ = await self._device.session.numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
+            (acted, late, running), _ = await self._device.session.read_numbers("XACT", "XLATE", f"_HX{STEP_THREAD}")
             if late:
-                raise DriverFault("late", "the gate was shut before the release came; nothing started", "try again")
+                raise ControllerFault("late", "the gate was shut before the release came; nothing started", "try again")
             if acted:
                 break
             if not running or self._clock.now_ns() > loaded.t0_ns + late_ns + EVIDENCE_WAIT_NS:
-                words = (await self._device.session.ask("TC1")).lines[0]
-                raise DriverFault("not-started", f"the controller did not start; its last error: {words}", "try again")
+                words = (await self._device.session.query_lines("TC1")).lines[0]
+                text = f"the controller did not start; its last error: {words}"
+                raise ControllerFault("not-started", text, "try again")
             await sleep_ns(self._clock, SETTLE_NS)
         bound_ns = mapping.bound_at_ns(loaded.t0_ns)
         not_before = int(acted) - 1 if waits is not None else max(int(acted) - 1, loaded.ticks)
-        span = Span(mapping.host_ns(not_before) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns)
+        span = HostInterval(mapping.host_ns(not_before) - bound_ns, mapping.host_ns(int(acted) + 1) + bound_ns)
         loaded.started = dict.fromkeys((move.axis for move in loaded.lowered.moves), span)
         return loaded.started
 
-    async def outcome(self) -> Outcome:
-        """Watch until no axis of the step moves, then say how it ended."""
+    async def wait_for_end(self) -> MoveOutcome:
+        """Watch until no axis of the step moves, then return how it ended."""
         loaded = self._require_loaded()
         moves = loaded.lowered.moves
         seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in moves}
-        ended: dict[str, Span] = {}
+        ended: dict[str, HostInterval] = {}
         planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
         stopped = False
         while True:
-            record = await self._device.record()
+            record = await self._device.read_record()
             for move in moves:
-                if record.axes[move.index].moving:
+                if record.axes[move.index].is_moving:
                     seen_ns[move.axis] = record.sent_ns
                 elif move.axis not in ended:
-                    ended[move.axis] = Span(seen_ns[move.axis], record.received_ns)
+                    ended[move.axis] = HostInterval(seen_ns[move.axis], record.received_ns)
             if len(ended) == len(moves):
                 break
-            ticks = round((self._device.samples.mapping() or loaded.mapping).ticks(record.received_ns))
-            await self._device.session.tell(self._food(ticks))
-            # Look again soon after the next planned end: the stamps tell the last end only.
+            ticks = round((self._device.samples.current_mapping() or loaded.mapping).ticks(record.received_ns))
+            await self._device.session.send_command(self._watchdog_command(ticks))
+            # Poll again soon after the next planned end: the stamps record only the last end.
             left_ns = min(planned_ns[axis] for axis in seen_ns if axis not in ended) + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
             stopped = await self._device.sleep_to_stop(watch_ns) or stopped
-        reasons = {move.axis: self._reason(move, record) for move in moves}
+        reasons = {move.axis: self._end_reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
         if states <= {"done"}:
-            late = await self._refine(loaded, ended)
-            return Outcome("fault", ended, late) if late else Outcome("done", ended)
+            late = await self._narrow_ends(loaded, ended)
+            return MoveOutcome("fault", ended, late) if late else MoveOutcome("done", ended)
         text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")
-        (bitten,), _ = await self._device.session.numbers("XDOG")
-        if bitten:
-            text += "; by its own watchdog: it had not heard of its adapter, or its program had failed"
-        return Outcome("fault" if "fault" in states else "stopped", ended, text)
+        (watchdog_fired,), _ = await self._device.session.read_numbers("XDOG")
+        if watchdog_fired:
+            text += "; by its own watchdog: the adapter did not extend its deadline, or its program had failed"
+        return MoveOutcome("fault" if "fault" in states else "stopped", ended, text)
 
-    def _reason(self, move: AxisMove, record: Record) -> tuple[str, str]:
+    def _end_reason(self, move: YaskawaAxisMove, record: DataRecord) -> tuple[str, str]:
         if not move.samples:
             return "done", ""
         axis = record.axes[move.index]
-        code = stop_words(axis.stop_code)
+        code = stop_code_meaning(axis.stop_code)
         if code.state == "done" and axis.commanded != move.end:
-            return "fault", f"stands at {axis.commanded} counts, not at {move.end}"
+            return "fault", f"is at {axis.commanded} counts, not at {move.end}"
         return code.state, code.text
 
-    async def _refine(self, loaded: _Loaded, ended: dict[str, Span]) -> str:
-        """Narrow the ends by the program's own stamps; says if a contour was fed too slowly.
+    async def _narrow_ends(self, loaded: _LoadedMove, ended: dict[str, HostInterval]) -> str:
+        """Narrow the ends by the program's own stamps; return a message if a contour was fed too slowly.
 
-        XEn is read after AM of axis n, or WC behind a contour's last record, has let go: the axis had ended by then,
-        but it may have ended long before, if the program came to the wait late. It can not have ended before its
-        profile was through, counted from its start. Axes that end within a contour read as moving until all of it is
-        over, but ended as much earlier as their records are fewer.
+        XEn is read after AM of axis n, or WC after a contour's last record, has passed: the axis had ended by then, but
+        it may have ended long before, if the program reached the wait late. It cannot have ended before the duration of
+        its profile, counted from its start. Axes that end within a contour read as moving until all of it is over, but
+        they ended earlier by the records that they do not use.
         """
-        way, load = loaded.lowered.way, loaded.lowered.load
-        contour = load.contour if isinstance(load, Records) else None
-        # A contour has one stamp for all its axes. The line for all of them would be too long (L12254).
+        way, load = loaded.lowered.moving_axes, loaded.lowered.load
+        contour = load.contour if isinstance(load, ContourLoad) else None
+        # A contour has one stamp for all its axes. A command line for all stamps would be too long (L12254).
         names = [f"XE{move.index + 1}" for move in way]
         asked = names if contour is None else [names[0], "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
-            (done, *values), _ = await self._device.session.numbers("XDONE", *asked)
+            (done, *values), _ = await self._device.session.read_numbers("XDONE", *asked)
             if done:
                 break
             if self._clock.now_ns() > until_ns:
                 return ""
-            # The axes are through, the program's last lines not yet.
+            # The axes have ended, but the program's last lines are still running.
             await sleep_ns(self._clock, SETTLE_NS)
-        mapping = self._device.samples.mapping() or loaded.mapping
-        total = 0 if contour is None else contour.instants[-1]
+        mapping = self._device.samples.current_mapping() or loaded.mapping
+        total = 0 if contour is None else contour.record_ends[-1]
         for move in loaded.lowered.moves:
             if not move.samples:
                 ended[move.axis] = loaded.started[move.axis]
@@ -304,16 +314,16 @@ class Start:
                 not_before_ns = max(seen.earliest_ns, not_before_ns)
             else:
                 by_ns = mapping.host_ns(int(values[0]) + 1 - total + move.samples)
-            ended[move.axis] = Span(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
+            ended[move.axis] = HostInterval(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
         late = 0 if contour is None else int(values[0] - values[1]) - total
         if late > self.LATE_TICKS:
             return (
-                f"the contour ended {late} samples late: its records came too slowly; raise the controller's option "
-                "decode_us to what a command of its programs really takes"
+                f"the contour ended {late} samples late: its records came too slowly; raise the "
+                "controller's option decode_us to the real duration of a command in its programs"
             )
         return ""
 
 
-def _line(lowered: LoweredMoves) -> int:
-    """The input to begin by, 0 for none."""
+def _wait_input_number(lowered: YaskawaLowered) -> int:
+    """Return the input to begin by, 0 for none."""
     return 0 if lowered.waits is None else lowered.waits.number

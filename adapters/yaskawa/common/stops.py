@@ -1,41 +1,42 @@
-"""How stops reach the controller past everything that is under way: by a handle of their own, or on the only one."""
+"""Transmission of stops, bypassing everything that is under way: over a separate handle, or over the only one."""
 
 import asyncio
 from contextlib import suppress
 
-from adapters.contract import DriverFault
-from adapters.yaskawa.smc4000.session import Session, write_each
+from adapters.yaskawa.smc4000.session import CommandSession, write_each
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import ControllerFault
 
 
 class StopHandle:
-    """A handle for stops alone: written at any moment, its replies read away so that none is ever waited for."""
+    """A handle for stops alone: written at any moment; its replies are read and discarded, so that no caller waits for
+    them."""
 
     def __init__(self, link: Link, timeout_s: float) -> None:
         self._link = link
         self._timeout_s = timeout_s
         self._written = 0
-        self._carried_out = 0
-        self._asking = asyncio.Lock()
+        self._executed = 0
+        self._query_lock = asyncio.Lock()
         self._markers = 0
         self._heard = bytearray()
         self._heard_more = asyncio.Event()
         self.open = True
-        self._drain = asyncio.get_running_loop().create_task(self._read_away())
+        self._drain = asyncio.get_running_loop().create_task(self._discard_replies())
 
-    def write(self, *commands: str) -> None:
-        """At once. Raises `LinkClosed`."""
+    def write_stop(self, *commands: str) -> None:
+        """Write at once. Raises `LinkClosed`."""
         self._written += 1
         write_each(self._link, commands)
 
-    async def carried_out(self) -> None:
-        """Until the controller has carried out all that was written. Raises `DriverFault`, `LinkClosed`.
+    async def wait_until_executed(self) -> None:
+        """Wait until the controller has executed everything that was written. Raises `ControllerFault`, `LinkClosed`.
 
-        It takes the commands of one handle in their order, those of two handles as they come: a stop that it has not
-        come to yet would halt what the other handle begins meanwhile.
+        The controller executes the commands of one handle in their order, those of two handles in the order of arrival:
+        a stop that is still queued would halt a motion that the other handle begins meanwhile.
         """
-        async with self._asking:
-            while self._carried_out < self._written:
+        async with self._query_lock:
+            while self._executed < self._written:
                 written = self._written
                 self._markers += 1
                 marker = f"<{self._markers}>"
@@ -49,12 +50,12 @@ class StopHandle:
                             if not self.open:
                                 raise LinkClosed(f"{self._link.place} is closed")
                 except TimeoutError:
-                    raise DriverFault(
+                    raise ControllerFault(
                         "no-answer",
                         f"{self._link.place}: the handle for stops has not answered within {self._timeout_s:g} s",
-                        "check power and cable; is another program holding the controller's interpreter?",
+                        "check power and cable; does another program occupy the controller's interpreter?",
                     ) from None
-                self._carried_out = written
+                self._executed = written
 
     async def close(self, goodbye: bytes = b"") -> None:
         if goodbye and self.open:
@@ -63,11 +64,11 @@ class StopHandle:
         self._drain.cancel()
         await self._link.close()
 
-    async def _read_away(self) -> None:
+    async def _discard_replies(self) -> None:
         try:
             while True:
                 received = await self._link.read()
-                if self._asking.locked():
+                if self._query_lock.locked():
                     self._heard += received.data
                     self._heard_more.set()
         except LinkClosed:
@@ -78,20 +79,20 @@ class StopHandle:
 
 
 class SharedStops:
-    """Stops on the line that carries everything else, from the next character on."""
+    """Stops on the line that carries all other traffic, from the next character on."""
 
     open = True
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: CommandSession) -> None:
         self._session = session
 
-    def write(self, *commands: str) -> None:
-        """At once. Raises `LinkClosed`."""
-        self._session.shout(*commands)
+    def write_stop(self, *commands: str) -> None:
+        """Write at once. Raises `LinkClosed`."""
+        self._session.write_at_once(*commands)
 
-    async def carried_out(self) -> None:
-        """What comes later on the line is taken later."""
+    async def wait_until_executed(self) -> None:
+        """Do nothing: the controller executes later commands of the line later."""
 
     async def close(self, goodbye: bytes = b"") -> None:
-        """The line belongs to the session."""
+        """Do nothing: the line belongs to the session."""
         del goodbye

@@ -1,22 +1,22 @@
 """The controller's sample counter (TIME) against the host's clock.
 
-Every record carries the low 16 bits of the counter; together with the last full reading they give the whole of it as
-long as records come at least twice in the 64 s in which those bits go round.
+Every record carries the low 16 bits of the counter; together with the last full reading they give the whole counter as
+long as records arrive at least twice in the 64 s in which those bits wrap around.
 """
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import MAX_PPM, Sample, TickEstimator, TickMapping
 
 SAMPLES_PER_S = 1024  # at TM 1000 (L10619-10622)
-LONGEST_GAP_NS = 20 * NS_PER_S  # after this long, and this often, the whole counter is read
-REFRESH_NS = NS_PER_S  # a mapping stays good for far longer; its bound says how good
-# The estimator keeps a fixed number of readings: the more time they span, the better the rate is known. So it is given
-# all of them while it is young, and then the one of each second that was answered fastest.
-YOUNG = 64
+LONGEST_GAP_NS = 20 * NS_PER_S  # after a gap of this length, and at this interval, the whole counter is read
+REFRESH_NS = NS_PER_S  # a mapping stays usable for far longer; its bound states its accuracy
+# The estimator keeps a fixed number of readings: the longer they span, the better the rate is known. While it is young
+# it therefore gets all readings, and later the fastest reading of each second.
+YOUNG_READINGS = 64
 
 
 class SampleClock:
-    """Learns the counter from readings and notices when it was set back. late_ns: see `TickEstimator`."""
+    """Estimate the counter from readings and detect resets of it. late_ns: see `TickEstimator`."""
 
     def __init__(self, tick_ns: float, late_ns: int = 0) -> None:
         self.tick_ns = tick_ns
@@ -28,37 +28,38 @@ class SampleClock:
         self._taken = 0
         self._fastest: Sample | None = None
 
-    def take_whole(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
-        """A reading of TIME. False when the counter did not go on from the last one: the controller was restarted."""
+    def add_full_reading(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
+        """Add a reading of TIME. Return False when the counter did not continue from the last reading: the controller
+        was restarted."""
         sample = Sample(sent_ns, received_ns, ticks)
-        went_on = self._fits(sample)
+        went_on = self._is_consistent(sample)
         if not went_on:
-            self.forget()
+            self.discard_readings()
         self._whole_ns = received_ns
-        self._add(sample)
+        self._add_sample(sample)
         return went_on
 
-    def take_low(self, sent_ns: int, received_ns: int, low: int) -> bool:
-        """The low 16 bits. False when they need a whole reading beside them, now; then they are not used."""
+    def add_low_reading(self, sent_ns: int, received_ns: int, low: int) -> bool:
+        """Add a reading of the low 16 bits. Return False when they need a whole reading now; then they are not used."""
         last = self._last
         if last is None or received_ns - self._whole_ns > LONGEST_GAP_NS:
             return False
         sample = Sample(sent_ns, received_ns, last.ticks + ((low - last.ticks) & 0xFFFF))
-        if not self._fits(sample):
+        if not self._is_consistent(sample):
             return False
-        self._add(sample)
+        self._add_sample(sample)
         return True
 
-    def forget(self) -> None:
-        """The counter means something else from now on."""
+    def discard_readings(self) -> None:
+        """Discard all readings: the counter was reset."""
         self._estimator.forget()
         self._last = None
         self._mapping = self._mapped = None
         self._taken = 0
         self._fastest = None
 
-    def mapping(self) -> TickMapping | None:
-        """The present estimate; computed again when it is a second old, or still young and improving."""
+    def current_mapping(self) -> TickMapping | None:
+        """Return the present estimate; it is computed again when it is a second old, or still young and improving."""
         last = self._last
         if last is None:
             return None
@@ -69,23 +70,23 @@ class SampleClock:
             self._mapping, self._mapped = self._estimator.mapping(), last
         return self._mapping
 
-    def _add(self, sample: Sample) -> None:
+    def _add_sample(self, sample: Sample) -> None:
         self._last = sample
         self._taken += 1
-        if self._taken <= YOUNG:
+        if self._taken <= YOUNG_READINGS:
             self._estimator.add(sample)
             return
         fastest = self._fastest
         if fastest is not None and sample.sent_ns // REFRESH_NS != fastest.sent_ns // REFRESH_NS:
             self._estimator.add(fastest)
             if sample.sent_ns - fastest.sent_ns > 2 * REFRESH_NS:
-                # After a pause the newest is worth more than the fastest.
+                # After a pause the newest reading is more valuable than the fastest.
                 self._estimator.add(sample)
             fastest = None
         if fastest is None or sample.received_ns - sample.sent_ns < fastest.received_ns - fastest.sent_ns:
             self._fastest = sample
 
-    def _fits(self, sample: Sample) -> bool:
+    def _is_consistent(self, sample: Sample) -> bool:
         last = self._last
         if last is None:
             return True

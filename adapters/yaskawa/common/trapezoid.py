@@ -1,12 +1,13 @@
-"""Planned trapezoids as the controller's own registers: SP, AC and DC that last as long as the plan, in host time.
+"""Search of the controller's registers for planned trapezoids: SP, AC and DC that last as long as the plan, in host
+time.
 
-The controller counts in samples. Its profile generator changes speed by AC/2^20 counts a sample each sample, up to
-SP/2^10 counts a sample (L2293, L10032), brakes with DC, and puts out its last position at the first whole sample after
-the continuous trapezoid has ended (L12829-12837). The registers are coarse, so all three are searched together: for
-the duration, and for the smallest distance to the plan. None goes beyond the axis's limits.
+The controller counts in samples. Its profile generator changes speed by AC/2^20 counts per sample each sample, up to
+SP/2^10 counts per sample (L2293, L10032), brakes with DC, and outputs its last position at the first whole sample after
+the continuous trapezoid has ended (L12829-12837). The registers are coarse, so all three are searched together: for the
+duration, and for the smallest distance to the plan. None exceeds the axis's limits.
 
-Once it is known how the samples lie about T0, it is known at which of them the move should end: the one next to the
-end of the plan. Without that, a move may begin half a sample beside T0 and end a whole one beside where it should.
+Once the position of the samples relative to T0 is known, the sample at which the move should end is known: the one next
+to the end of the plan. Without that, a move may begin half a sample off T0 and end a whole sample off its planned end.
 """
 
 import math
@@ -16,22 +17,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.contract import CannotDo
-from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT, Model
+from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT, ModelTraits
+from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
 
 Array = NDArray[np.float64]
-"""Of values that belong together, one for each candidate or instant."""
+"""Values with one entry per candidate or instant."""
 
-ROOM = 1e-6  # beyond a limit, relative: rounding of a plan that uses it to the full
-SYMMETRIC = 1e-9  # relative: how far the two ramps may differ, in length and slope
-NOTHING_S = 1e-9  # a shorter segment is one that the planner left empty
+LIMIT_TOLERANCE = 1e-6  # beyond a limit, relative: rounding of a plan that uses the limit to the full
+SYMMETRY_TOLERANCE = 1e-9  # relative: how far the two ramps may differ, in length and slope
+EMPTY_SEGMENT_S = 1e-9  # a shorter segment counts as empty
 NEIGHBOURS = 6  # speeds on either side of the planned one, and ramps on either side of its own
-ALIKE = 200  # the best, among which there are so many different ones as finalists
-FINALISTS = 4  # candidates whose distance to the plan is worked out in full
-NEAR = 0.02  # samples that a duration may be off for nothing: less than anybody can see of it
-GOOD = 0.1  # samples off, in time or way, that no further search is needed for
-# A sample too many or too few counts for the way of so many samples: the end is what others wait for.
+MOST_ALIKE = 200  # the best candidates, of which this many different ones are finalists
+FINALISTS = 4  # candidates whose distance to the plan is computed in full
+FREE_SAMPLES = 0.02  # samples of deviation in duration without a penalty: it is not observable
+GOOD_ENOUGH = 0.1  # samples of deviation, in time or path, below which no further search is needed
+# A sample too many or too few counts as the path of this many samples: other participants wait for the end.
 OFF_WEIGHT = 10.0
 HUGE = 2.0**40  # beyond any register
 _ABOUT = np.arange(-NEIGHBOURS, NEIGHBOURS + 1.0)
@@ -41,17 +42,21 @@ _GRID = np.linspace(0.0, 1.0, 33)  # of the move's duration, for its distance to
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """What an axis may do at most, in host time: counts/s and counts/s²."""
+class YaskawaBounds:
+    """Limits of an axis in host time: counts/s and counts/s²."""
 
     velocity: float
     acceleration: float
 
 
 @dataclass(frozen=True, slots=True)
-class Trapezoid:
-    """One independent move. speed, up, down: the values of SP, AC and DC. length: its duration in samples; off: that
-    less the planned one. at_limit: it lasts longer because a limit holds it."""
+class RegisterTrapezoid:
+    """One independent move.
+
+    speed, up, down: the values of SP, AC and DC.
+    length: its duration in samples.
+    off: `length` minus the planned duration.
+    at_limit: it lasts longer because a limit restricts it."""
 
     distance: int
     speed: int
@@ -63,25 +68,27 @@ class Trapezoid:
     path_error_counts: float
 
     @property
-    def samples(self) -> int:
-        """Whole samples from the begin to the last commanded position."""
-        # What a binary fraction may be off must not make a sample of its own.
+    def whole_samples(self) -> int:
+        """Return the whole samples from the begin to the last commanded position."""
+        # The rounding error of a binary fraction must not add a sample.
         return math.ceil(self.length - 1e-9)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a move lies on its controller's samples. phase: samples from T0 to the begin. last: the sample, from the
-    one of the begin on, at which it should end."""
+class SampleAlignment:
+    """The alignment of a move to its controller's samples.
+
+    phase: samples from T0 to the begin.
+    last: the sample, counted from the begin, at which the move should end."""
 
     phase: float
     last: int
 
 
 @dataclass(frozen=True, slots=True)
-class _Law:
-    """Trapezoids over `way` counts from rest to rest: peak speed and ramps in counts and samples. By axis: the moves,
-    and then whatever there are several of for each."""
+class _CandidateMotions:
+    """Trapezoids over `way` counts from rest to rest: peak speed and ramps in counts and samples. First axis of the
+    arrays: the moves; further axes: the candidates of each."""
 
     way: Array
     peak: Array
@@ -90,18 +97,18 @@ class _Law:
     length: Array
 
     @classmethod
-    def of(cls, way: Array, speed: Array, up: Array, down: Array) -> "_Law":
+    def from_values(cls, way: Array, speed: Array, up: Array, down: Array) -> "_CandidateMotions":
         ramps = 1.0 / up + 1.0 / down
         peak = np.minimum(speed, np.sqrt(2 * way / ramps))
         return cls(way, peak, up, down, way / peak + peak / 2 * ramps)
 
     @classmethod
-    def by(cls, way: Array, registers: Array) -> "_Law":
-        """registers: SP, AC and DC along the last axis."""
+    def from_registers(cls, way: Array, registers: Array) -> "_CandidateMotions":
+        """Build the motions from register values. registers: SP, AC and DC along the last axis."""
         values = registers / _UNITS
-        return cls.of(way, values[..., 0], values[..., 1], values[..., 2])
+        return cls.from_values(way, values[..., 0], values[..., 1], values[..., 2])
 
-    def at(self, t: Array) -> Array:
+    def position_at(self, t: Array) -> Array:
         rise, fall = self.peak / self.up, self.peak / self.down
         left = self.length - t
         cruise = self.peak * (t - rise / 2)
@@ -111,15 +118,15 @@ class _Law:
         return np.where(t <= 0.0, 0.0, np.where(left <= 0.0, self.way, way))
 
     @property
-    def joints(self) -> tuple[Array, Array, Array]:
-        """From ramp to cruise, from cruise to ramp, and the end."""
+    def segment_ends(self) -> tuple[Array, Array, Array]:
+        """Return the instants from ramp to cruise, from cruise to ramp, and the end."""
         return self.peak / self.up, self.length - self.peak / self.down, self.length
 
 
-class _Wanted:
-    """What the moves of some axes should be, one a row, in counts and samples; each value a column.
+class _MoveTargets:
+    """The requested moves of some axes, one per row, in counts and samples; each value is a column.
 
-    early, late: between these, all lengths are as good. top_speed, top_ramp: the largest registers.
+    early, late: all lengths between these are equally good. top_speed, top_ramp: the largest registers.
     """
 
     def __init__(self, rows: list[tuple[float, ...]]) -> None:
@@ -127,53 +134,59 @@ class _Wanted:
         self.way, self.planned, ramp, self.phase, self.early, self.late, self.top_speed, self.top_ramp = columns
         self.length = np.minimum(np.maximum(self.planned, self.early), self.late)
         speed = self.way / (self.planned - ramp)
-        self.plan = _Law.of(self.way, speed, speed / ramp, speed / ramp)
+        self.plan = _CandidateMotions.from_values(self.way, speed, speed / ramp, speed / ramp)
 
-    def off(self, length: Array) -> Array:
-        """What lengths count for that are not as good."""
+    def length_penalty(self, length: Array) -> Array:
+        """Return the penalty of lengths outside that range."""
         return OFF_WEIGHT * self.plan.peak * np.maximum(0.0, np.maximum(self.early - length, length - self.late))
 
-    def rank(self, candidates: Array) -> Array:
-        """A quick measure of how bad they are, in counts: the distance of the cruises, drawn out over the time between
-        the plan's ramps, when the laws begin `phase` samples later."""
-        laws, plan = _Law.by(self.way, candidates), self.plan
-        rise, fall, _ = plan.joints
+    def rank_candidates(self, candidates: Array) -> Array:
+        """Return a quick measure of deviation, in counts: the distance of the cruise segments, extrapolated over the
+        time between the plan's ramps, for motions that begin `phase` samples later."""
+        laws, plan = _CandidateMotions.from_registers(self.way, candidates), self.plan
+        rise, fall, _ = plan.segment_ends
         faster = laws.peak - plan.peak
         behind = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * self.phase
         apart = np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
-        return self.off(laws.length) + apart
+        return self.length_penalty(laws.length) + apart
 
 
-def fit(
+def fit_registers(
     profiles: Mapping[str, Profile],
-    bounds: Mapping[str, Bounds],
+    bounds: Mapping[str, YaskawaBounds],
     tick_ns: float,
-    model: Model,
-    places: Mapping[str, Place] | None = None,
-) -> dict[str, Trapezoid]:
-    """The registers for profiles with a way that come nearest, by axis; all at once, because there are as many
-    candidates for each as numpy needs. tick_ns: length of a sample in host time. places: if known; then any duration
-    is as good as another that ends at the same sample, and near to the plan is what is near to it about T0, so that
-    the ramp up makes good for the begin beside it.
+    model: ModelTraits,
+    places: Mapping[str, SampleAlignment] | None = None,
+) -> dict[str, RegisterTrapezoid]:
+    """Return the registers that come nearest to the profiles, by axis. All axes are searched at once: numpy is
+    efficient with many candidates.
 
-    Raises `CannotDo` naming what would fit.
+    tick_ns: length of a sample in host time. places: if known; then durations that end at the same sample are equally
+    good, and the distance to the plan is measured relative to T0, so that the acceleration ramp compensates for the
+    offset of the begin.
+
+    Raises `Refusal` that states what would fit.
     """
-    wanted = _Wanted([_row(axis, each, bounds[axis], tick_ns, model, places) for axis, each in profiles.items()])
-    candidates = _by_speed(wanted, model)
-    ranks = wanted.rank(candidates)
-    poor = (ranks.min(axis=1, keepdims=True) > GOOD * wanted.plan.peak)[:, 0]
+    wanted = _MoveTargets(
+        [_target_row(axis, each, bounds[axis], tick_ns, model, places) for axis, each in profiles.items()]
+    )
+    candidates = _candidates_by_speed(wanted, model)
+    ranks = wanted.rank_candidates(candidates)
+    poor = (ranks.min(axis=1, keepdims=True) > GOOD_ENOUGH * wanted.plan.peak)[:, 0]
     finalists = np.empty((len(ranks), FINALISTS, len(_UNITS)))
     if not poor.all():
-        finalists[~poor] = _best(candidates[~poor], ranks[~poor])
+        finalists[~poor] = _best_candidates(candidates[~poor], ranks[~poor])
     if poor.any():
-        more = _by_ramps(wanted, model)
+        more = _candidates_by_ramps(wanted, model)
         candidates = np.concatenate([candidates, more], axis=1)
-        finalists[poor] = _best(candidates[poor], np.concatenate([ranks, wanted.rank(more)], axis=1)[poor])
-    laws = _Law.by(wanted.way, finalists)
-    # As they lie on the samples, to choose; and about T0, to tell.
+        finalists[poor] = _best_candidates(
+            candidates[poor], np.concatenate([ranks, wanted.rank_candidates(more)], axis=1)[poor]
+        )
+    laws = _CandidateMotions.from_registers(wanted.way, finalists)
+    # Relative to the samples for the choice; relative to T0 for the reported value.
     errors = _path_errors(wanted, laws)
-    chosen = (wanted.off(laws.length) + errors[:, 0]).argmin(axis=1)
-    shapes: dict[str, Trapezoid] = {}
+    chosen = (wanted.length_penalty(laws.length) + errors[:, 0]).argmin(axis=1)
+    shapes: dict[str, RegisterTrapezoid] = {}
     for k, (axis, profile) in enumerate(profiles.items()):
         best = chosen[k]
         length, planned = float(laws.length[k, best]), float(wanted.planned[k, 0])
@@ -181,80 +194,80 @@ def fit(
         at_limit = length > planned and (speed == wanted.top_speed[k, 0] or up == wanted.top_ramp[k, 0])
         distance = profile.end_counts - profile.start_counts
         error = float(errors[k, -1, best])
-        shapes[axis] = Trapezoid(distance, speed, up, down, length, length - planned, at_limit, error)
+        shapes[axis] = RegisterTrapezoid(distance, speed, up, down, length, length - planned, at_limit, error)
     return shapes
 
 
-def _row(
+def _target_row(
     name: str,
     profile: Profile,
-    bounds: Bounds,
+    bounds: YaskawaBounds,
     tick_ns: float,
-    model: Model,
-    places: Mapping[str, Place] | None,
+    model: ModelTraits,
+    places: Mapping[str, SampleAlignment] | None,
 ) -> tuple[float, ...]:
-    """Of `_Wanted`. Raises `CannotDo`."""
+    """Return a row of `_MoveTargets`. Raises `Refusal`."""
     distance = profile.end_counts - profile.start_counts
     if abs(distance) >= 2**31:
-        raise CannotDo("too-far", f"axis {name}: {distance} counts are more than one move can be", "move in parts")
+        raise Refusal("too-far", f"axis {name}: {distance} counts exceed the longest possible move", "split the move")
     ramp_s = _ramp_s(name, profile)
     tick_s = tick_ns * 1e-9
     # At another servo period a register means another speed (L10749-10763); the limits are in host time.
-    speed_most = bounds.velocity * (1 + ROOM) * tick_s * SPEED_UNIT
-    ramp_most = bounds.acceleration * (1 + ROOM) * tick_s * tick_s * RAMP_UNIT
-    top_speed = _down(speed_most, model.speed_step, model.speed_max)
-    top_ramp = _down(ramp_most, model.ramp_step, model.ramp_max)
+    speed_most = bounds.velocity * (1 + LIMIT_TOLERANCE) * tick_s * SPEED_UNIT
+    ramp_most = bounds.acceleration * (1 + LIMIT_TOLERANCE) * tick_s * tick_s * RAMP_UNIT
+    top_speed = _round_down(speed_most, model.speed_step, model.speed_max)
+    top_ramp = _round_down(ramp_most, model.ramp_step, model.ramp_max)
     if not top_speed or not top_ramp:
-        raise CannotDo(
+        raise Refusal(
             "limits-too-low",
-            f"axis {name}: its limits are below what the controller can do at least, "
-            f"{model.speed_step / SPEED_UNIT / tick_s:g} counts/s and {model.ramp_step / RAMP_UNIT / tick_s**2:g} "
-            "counts/s²",
+            f"axis {name}: its limits are below the controller's minimum, "
+            f"{model.speed_step / SPEED_UNIT / tick_s:g} counts/s and "
+            f"{model.ramp_step / RAMP_UNIT / tick_s**2:g} counts/s²",
             "raise the limits in the fleet file",
         )
     planned = profile.duration_s / tick_s
-    phase, early, late = 0.0, planned - NEAR, planned + NEAR
+    phase, early, late = 0.0, planned - FREE_SAMPLES, planned + FREE_SAMPLES
     if places is not None:
         place = places[name]
-        phase, early, late = place.phase, place.last - 1 + NEAR, place.last - NEAR
+        phase, early, late = place.phase, place.last - 1 + FREE_SAMPLES, place.last - FREE_SAMPLES
     return float(abs(distance)), planned, ramp_s / tick_s, phase, early, late, top_speed, top_ramp
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
-    """The length of the two equal ramps. Raises `CannotDo` for any other shape."""
+    """Return the length of the two equal ramps. Raises `Refusal` for any other shape."""
     pieces = [
         (t, a, j)
         for t, a, j in zip(profile.durations_s, profile.accelerations, profile.jerks, strict=False)
-        if t > NOTHING_S
+        if t > EMPTY_SEGMENT_S
     ]
     first, last = pieces[0], pieces[-1]
     straight = all(j == 0.0 for _, _, j in pieces)
-    ramps = first[1] != 0.0 and math.isclose(first[1], -last[1], rel_tol=SYMMETRIC)
-    even = abs(first[0] - last[0]) <= SYMMETRIC * profile.duration_s
+    ramps = first[1] != 0.0 and math.isclose(first[1], -last[1], rel_tol=SYMMETRY_TOLERANCE)
+    even = abs(first[0] - last[0]) <= SYMMETRY_TOLERANCE * profile.duration_s
     if not straight or len(pieces) not in (2, 3) or not ramps or not even or (len(pieces) == 3 and pieces[1][1] != 0.0):
-        raise CannotDo(
+        raise Refusal(
             "shape",
-            f"axis {name}: the profile is no trapezoid with equal ramps from rest to rest",
-            "move it by contour",
+            f"axis {name}: the profile is not a trapezoid with equal ramps from rest to rest",
+            "execute it by contour",
         )
     return first[0]
 
 
-def _down(value: float, step: int, most: int) -> int:
+def _round_down(value: float, step: int, most: int) -> int:
     return min(int(value // step) * step, most)
 
 
-def _values(value: Array, step: int, top: Array, neighbours: Array) -> Array:
-    """Register values about `value`, in steps, from one step to `top`."""
+def _nearby_values(value: Array, step: int, top: Array, neighbours: Array) -> Array:
+    """Return register values around `value`, in steps, from one step to `top`."""
     return np.minimum(np.maximum((np.minimum(value, HUGE) // step + neighbours) * step, step), top)
 
 
-def _best(candidates: Array, ranks: Array) -> Array:
-    """For each axis the best few that differ, for one may have been found in several ways; where there are fewer, the
-    last again."""
-    order = np.argsort(ranks, axis=1, kind="stable")[:, :ALIKE]
+def _best_candidates(candidates: Array, ranks: Array) -> Array:
+    """Return the best few different candidates of each axis, because one candidate may be found several times; where
+    there are fewer, the last one is repeated."""
+    order = np.argsort(ranks, axis=1, kind="stable")[:, :MOST_ALIKE]
     rows = np.take_along_axis(candidates, order[..., None], axis=1)
-    # Those that are alike rank alike, so that they mostly follow each other.
+    # Equal candidates have equal ranks, so that they are usually adjacent.
     new = np.ones(order.shape, bool)
     new[:, 1:] = (rows[:, 1:] != rows[:, :-1]).any(axis=2)
     chosen: list[list[list[float]]] = []
@@ -270,72 +283,74 @@ def _best(candidates: Array, ranks: Array) -> Array:
     return np.array(chosen)
 
 
-def _together(speed: Array, up: Array, down: Array) -> Array:
-    """By axis: a row for each candidate."""
+def _combine_registers(speed: Array, up: Array, down: Array) -> Array:
+    """Combine the registers: first axis the moves, one row per candidate."""
     rows = np.empty((*np.broadcast(speed, up, down).shape, 3))
     rows[..., 0], rows[..., 1], rows[..., 2] = speed, up, down
     return rows.reshape(len(rows), -1, 3)
 
 
-def _by_speed(wanted: _Wanted, model: Model) -> Array:
-    """Speeds near the plan's own and a ramp up, with the ramp down that makes up for what they leave."""
-    # By axis: moves, speeds, ways to choose the ramps, ramps up, ramps down.
+def _candidates_by_speed(wanted: _MoveTargets, model: ModelTraits) -> Array:
+    """Return candidates with speeds near the plan's own and an acceleration ramp, and the deceleration ramp that
+    compensates for the remaining deviation."""
+    # Axes of the array: moves, speeds, ways to choose the ramps, ramps up, ramps down.
     way, length, top_speed, top_ramp, peak = (
         each.reshape(-1, 1, 1, 1, 1)
         for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.peak)
     )
-    speed = _values(peak * SPEED_UNIT, model.speed_step, top_speed, _ABOUT.reshape(-1, 1, 1, 1))
+    speed = _nearby_values(peak * SPEED_UNIT, model.speed_step, top_speed, _ABOUT.reshape(-1, 1, 1, 1))
     v = speed / SPEED_UNIT
     inverse = np.empty((len(v), v.shape[1], 2, 1, 1))
     inverse[:, :, :1] = 2.0 * (length - way / v) / v
-    inverse[:, :, 1:] = length * length / (2.0 * way)  # 1/up + 1/down of a move that does not come to its speed
+    inverse[:, :, 1:] = length * length / (2.0 * way)  # 1/up + 1/down of a move that does not reach its speed
     with np.errstate(divide="ignore"):
         even = np.where(inverse > 0.0, 2.0 / inverse, math.inf) * RAMP_UNIT
-        up = _values(even, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1))
+        up = _nearby_values(even, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1))
         rest = inverse - RAMP_UNIT / up
         low = np.where(rest > 0.0, RAMP_UNIT / rest, math.inf)
-    return _together(speed, up, _values(low, model.ramp_step, top_ramp, _AND_NEXT))
+    return _combine_registers(speed, up, _nearby_values(low, model.ramp_step, top_ramp, _AND_NEXT))
 
 
-def _by_ramps(wanted: _Wanted, model: Model) -> Array:
-    """Ramps near the plan's own, with the speed that makes up for what they leave: where ramps are coarse."""
-    # By axis: moves, ramps up, ramps down, speeds.
+def _candidates_by_ramps(wanted: _MoveTargets, model: ModelTraits) -> Array:
+    """Return candidates with ramps near the plan's own, and the speed that compensates for the remaining deviation: for
+    coarse ramps."""
+    # Axes of the array: moves, ramps up, ramps down, speeds.
     way, length, top_speed, top_ramp, ramp = (
         each.reshape(-1, 1, 1, 1)
         for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.up)
     )
-    up = _values(ramp * RAMP_UNIT, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1, 1))
+    up = _nearby_values(ramp * RAMP_UNIT, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1, 1))
     down = up.swapaxes(1, 2)
     # length = way/v + v/2 (1/up + 1/down), for v
     half = RAMP_UNIT / 2 * (1.0 / up + 1.0 / down)
     square = length * length - 4.0 * half * way
     low = np.where(square >= 0.0, length - np.sqrt(np.maximum(square, 0.0)), math.inf) / (2.0 * half) * SPEED_UNIT
-    return _together(_values(low, model.speed_step, top_speed, _AND_NEXT), up, down)
+    return _combine_registers(_nearby_values(low, model.speed_step, top_speed, _AND_NEXT), up, down)
 
 
-def _path_errors(wanted: _Wanted, laws: _Law) -> Array:
-    """Largest distance between plan and the execution of each law, in counts. By axis: moves; as it lies on the
-    samples, and about T0, which is the same (one row) as long as it is not known how they lie; laws.
+def _path_errors(wanted: _MoveTargets, laws: _CandidateMotions) -> Array:
+    """Return the largest distance between the plan and each candidate motion, in counts. Axes: moves; relative to the
+    samples, and relative to T0 (one row, equal, as long as the alignment is unknown); motions.
 
-    Both are piecewise quadratic; their difference has its extremes at the joints or where both go equally fast, which
-    the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
+    Both are piecewise quadratic; their difference has its extremes at the joints or where both velocities are equal,
+    which the joints and a fine grid find to a fraction of the rounding of a position (half a count, included).
     """
-    # By axis: moves, phases, laws, instants.
+    # Axes of the array: moves, phases, motions, instants.
     phases = wanted.phase[:, :, None, None]
     if wanted.phase.any():
         phases = np.concatenate([phases, np.zeros_like(phases)], axis=1)
-    plan = _deeper(wanted.plan, (1, 1, 1))
-    laws = _deeper(laws, (1, laws.length.shape[1], 1))
-    own, joints, grid = np.concatenate(laws.joints, axis=3), np.concatenate(plan.joints, axis=3), len(_GRID)
+    plan = _insert_axes(wanted.plan, (1, 1, 1))
+    laws = _insert_axes(laws, (1, laws.length.shape[1], 1))
+    own, joints, grid = np.concatenate(laws.segment_ends, axis=3), np.concatenate(plan.segment_ends, axis=3), len(_GRID)
     instants = np.empty((*phases.shape[:2], own.shape[2], grid + 6))
     instants[..., :grid] = _GRID * np.maximum(laws.length, plan.length)
     instants[..., grid : grid + 3] = joints
     instants[..., grid + 3 :] = phases + own
-    return 0.5 + abs(laws.at(instants - phases) - plan.at(instants)).max(axis=3)
+    return 0.5 + abs(laws.position_at(instants - phases) - plan.position_at(instants)).max(axis=3)
 
 
-def _deeper(law: _Law, shape: tuple[int, ...]) -> _Law:
-    """With further axes behind that of the moves."""
+def _insert_axes(law: _CandidateMotions, shape: tuple[int, ...]) -> _CandidateMotions:
+    """Insert further array axes after that of the moves."""
     way = law.way.reshape(-1, 1, 1, 1)
     peak, up, down, length = (each.reshape(-1, *shape) for each in (law.peak, law.up, law.down, law.length))
-    return _Law(way, peak, up, down, length)
+    return _CandidateMotions(way, peak, up, down, length)

@@ -1,140 +1,151 @@
-"""Polls over a serial line, as many as its characters allow: one may begin before the reply to the last has come.
+"""Pipelined polls over a serial line, as many as its characters allow: one may begin before the previous reply has
+arrived.
 
-A USB adapter keeps what it has received for up to 16 ms, so that waiting for a reply before the next question would
-leave the wire idle. When a poll's reply must have left the wire, the poll that is next is written at once. Replies tell
-whose they are, and what has overlapped with anything that went wrong is asked again for itself.
+A USB adapter buffers received bytes for up to 16 ms, so that waiting for a reply before the next request would leave
+the line idle. As soon as a poll's reply must have been transmitted, the next poll is written. Replies identify their
+controller, and a poll that overlapped with a disturbance is repeated alone.
 """
 
 import asyncio
 from dataclasses import dataclass, replace
 
-from adapters.contract import DriverFault
-from adapters.yaskawa.smc2000.line import Ahead, Line, Turn, address
-from adapters.yaskawa.smc2000.session import SerialSession
-from adapters.yaskawa.smc4000.session import Refused, parse_numbers
+from adapters.yaskawa.smc2000.line import EarlyPoll, LineTurn, SharedSerialLine, address_command
+from adapters.yaskawa.smc2000.session import SerialCommandSession
+from adapters.yaskawa.smc4000.session import SmcCommandRefused, parse_numbers
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import ControllerFault
 
 DECODE_NS = NS_PER_MS  # of a poll: two commands, about half a millisecond each (L1000)
-OVERLAPPED_NS = 30 * NS_PER_MS  # what overlaps with something is not waited for as long
+OVERLAPPED_NS = 30 * NS_PER_MS  # shorter wait for a poll that overlaps with another exchange
 AROUND_LINE = 4  # characters: the line's end, the prompts of address and command
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """A line that the controller's program has printed on request. sent_ns, received_ns: the host instants between
-    which its first value was read; heard_ns: when all of it had come."""
+class PrintedStatus:
+    """A line that the controller's program has printed on request.
+
+    sent_ns, received_ns: the host instants between which its first value was read.
+    complete_ns: when all of it had arrived."""
 
     values: list[int]
     sent_ns: int
     received_ns: int
-    heard_ns: int
+    complete_ns: int
 
 
-class PolledSession(SerialSession):
-    """The exchanges of one unit, and its polls."""
+class PolledSession(SerialCommandSession):
+    """The exchanges of one controller, and its polls."""
 
     def __init__(
-        self, line: Line, link: Link, clock: Clock, unit: int | None, silence_s: float, hold_ns: int, tolerance: float
+        self,
+        line: SharedSerialLine,
+        link: Link,
+        clock: Clock,
+        unit: int | None,
+        silence_s: float,
+        hold_ns: int,
+        tolerance: float,
     ) -> None:
         super().__init__(line, link, clock, unit, silence_s, hold_ns, tolerance)
         self._length = 0
-        """Of the last poll's reply, characters; 0: none yet."""
+        """Length of the last poll's reply, characters; 0: none yet."""
         self._overlapped = False
         """The present poll was written before its turn, or has let the next one begin."""
         self._poll_command = ""
         self._quiet = (0, 0)
 
-    async def status(self, command: str, count: int) -> Status:
-        """Let a program print its `count` values. Raises `Refused` when there is no such program.
+    async def request_status(self, command: str, count: int) -> PrintedStatus:
+        """Let a program print its `count` values. Raises `SmcCommandRefused` when there is no such program.
 
-        What overlapped with another poll, or was disturbed by a stop, is asked again for itself.
+        A poll that overlapped with another one, or was disturbed by a stop, is repeated alone.
         """
         line = self._line
         self._poll_command = command
         alone = False
         while True:
-            await self._until_allowed()
-            async with Turn(line, self._unit, None if alone else self):
-                if self._forbidden():
+            await self._wait_until_allowed()
+            async with LineTurn(line, self._unit, None if alone else self):
+                if self._is_suspended():
                     continue
                 stops, self._overlapped = line.stops, False
                 try:
-                    return await self._poll(command, count, alone)
-                except (DriverFault, Refused):
-                    line.out_of_step()
+                    return await self._poll_once(command, count, alone)
+                except (ControllerFault, SmcCommandRefused):
+                    line.mark_out_of_step()
                     if line.stops == stops:
                         if not self._overlapped:
                             raise
                         alone = True
                 except LinkClosed:
-                    line.lost(self._link)
+                    line.drop_link(self._link)
                     raise
                 except BaseException:
-                    line.out_of_step()
+                    line.mark_out_of_step()
                     raise
 
-    def keep_quiet(self, from_ns: int, until_ns: int) -> None:
-        """Begin no poll in this time: printing would take the interpreter from a program that is about to start."""
+    def suspend_polls(self, from_ns: int, until_ns: int) -> None:
+        """Begin no poll in this interval: printing would take interpreter time from a program that is about to
+        start."""
         self._quiet = (from_ns, until_ns)
 
     def poll_ahead(self) -> str | None:
-        if self._forbidden() or not self._settled or not self._length:
+        if self._is_suspended() or not self._settled or not self._length:
             return None
-        return f"{address(self._unit)}{self._poll_command}\r"
+        return f"{address_command(self._unit)}{self._poll_command}\r"
 
     # Polls
 
-    def _forbidden(self) -> bool:
+    def _is_suspended(self) -> bool:
         return self._quiet[0] <= self._clock.now_ns() < self._quiet[1]
 
-    async def _until_allowed(self) -> None:
-        while self._forbidden():
+    async def _wait_until_allowed(self) -> None:
+        while self._is_suspended():
             await sleep_until_ns(self._clock, self._quiet[1])
 
-    async def _poll(self, command: str, count: int, alone: bool) -> Status:
+    async def _poll_once(self, command: str, count: int, alone: bool) -> PrintedStatus:
         line = self._line
         ahead, line.ahead = line.ahead, None
         if ahead is not None and ahead.poller is self:
             self._overlapped = True
-            self._begin_with(ahead.plain, ahead.marked)
+            self._reset_buffer(ahead.plain, ahead.marked)
             self._at_ns = max(self._at_ns, ahead.at_ns)
-            prefix, sent_ns = address(self._unit), ahead.sent_ns
+            prefix, sent_ns = address_command(self._unit), ahead.sent_ns
         else:
             if ahead is not None:
-                line.out_of_step()
+                line.mark_out_of_step()
             if line.half_line or not (line.in_step and self._settled):
-                await self._turn_to_unit()
-            prefix = "" if line.selected == self._unit else address(self._unit)
-            self._begin_with()
+                await self._select_controller()
+            prefix = "" if line.selected == self._unit else address_command(self._unit)
+            self._reset_buffer()
             sent_ns = self._link.write(f"{prefix}{command}\r".encode("ascii"))
         stops, line.in_step, line.selected = line.stops, False, self._unit
         written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
         text = await self._poll_reply(command, written_ns, alone)
         values = [int(value) for value in parse_numbers(text, count, command)]
         if self._unit is not None and values[0] != self._unit:
-            raise self._garbage(command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
+            raise self._garbage_fault(command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
         self._length = len(text) + AROUND_LINE
         if line.stops != stops:
-            line.out_of_step()
+            line.mark_out_of_step()
         elif line.ahead is not None:
             rest = {"plain": bytes(self._plain), "marked": bytes(self._marked)}
             line.ahead = replace(line.ahead, at_ns=self._at_ns, **rest)
         else:
             line.in_step = True
         begun_ns = self._begun_ns(sent_ns, len(prefix) + len(command) + 1)
-        return Status(values, begun_ns, self._emitted_ns(len(text) + 2), self._at_ns)
+        return PrintedStatus(values, begun_ns, self._emitted_ns(len(text) + 2), self._at_ns)
 
     async def _poll_reply(self, command: str, written_ns: int, alone: bool) -> str:
-        """The line that the program prints. When it must have left the wire, although it has perhaps not come yet, the
-        poll that is next may begin."""
+        """Return the line that the program prints. When it must have been transmitted, even if it has not arrived yet,
+        the next poll may begin."""
         char_ns = self._link.char_ns
         quiet_ns = written_ns + self._length * char_ns
-        # An address takes effect at its end: it may be under way while the last characters are.
-        over_ns = quiet_ns + DECODE_NS - len(address(self._unit)) * char_ns
+        # An address takes effect at its end: it may be sent while the last characters are under way.
+        over_ns = quiet_ns + DECODE_NS - len(address_command(self._unit)) * char_ns
         leads = not alone and self._length > 0
         while True:
-            text = self._printed(command)
+            text = self._take_printed_line(command)
             if text is not None:
                 return text
             now_ns = self._clock.now_ns()
@@ -144,7 +155,7 @@ class PolledSession(SerialSession):
             silence_ns = self._hold_ns + OVERLAPPED_NS if self._overlapped else self._silence_ns
             give_up_ns = max(quiet_ns, self._at_ns) + silence_ns
             if now_ns >= give_up_ns:
-                raise self._silent(command)
+                raise self._silence_fault(command)
             until_ns = min(give_up_ns, over_ns) if leads else give_up_ns
             try:
                 async with asyncio.timeout((until_ns - now_ns) / NS_PER_S):
@@ -159,19 +170,20 @@ class PolledSession(SerialSession):
         poller = line.waiting[0].poller if line.waiting else None
         text = None if poller is None else poller.poll_ahead()
         if poller is not None and text is not None:
-            line.ahead = Ahead(poller, self._link.write(text.encode("ascii")))
+            line.ahead = EarlyPoll(poller, self._link.write(text.encode("ascii")))
             self._overlapped = True
 
-    def _printed(self, command: str) -> str | None:
-        """The line that the program has printed. Raises `Refused` when the command was.
+    def _take_printed_line(self, command: str) -> str | None:
+        """Return the line that the program has printed. Raises `SmcCommandRefused` when the command was refused.
 
-        What another program reports of its error is printed, too, whoever is asked just then (`?005 BGX`, L3473).
+        Another program's report of an error is printed as well, whichever controller is being polled (`?005 BGX`,
+        L3473).
         """
-        self._sift()
+        self._separate_output()
         if b"?" in self._plain:
-            self._line.out_of_step()
+            self._line.mark_out_of_step()
             self._settled = False
-            raise Refused(command, 0, "its program is not there any more")
+            raise SmcCommandRefused(command, 0, "its resident program is missing")
         while (end := self._marked.find(b"\r\n")) >= 0:
             text = self._marked[:end].decode("ascii")
             del self._marked[: end + 2]

@@ -1,4 +1,4 @@
-"""Replies on a serial line, where a controller that was reset echoes what it hears (EO, L8573)."""
+"""Replies on a serial line, where a controller that was reset echoes its input (EO, L8573)."""
 
 from dataclasses import dataclass
 
@@ -6,8 +6,8 @@ PROMPT, REFUSAL = 0x3A, 0x3F  # : and ?
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """A complete reply at the start of a buffer, `used` bytes of it. echoed: the command came back, too."""
+class SerialReply:
+    """A complete reply at the start of a buffer, `used` bytes of it. echoed: the reply contains the command's echo."""
 
     lines: list[str]
     refused: bool
@@ -15,11 +15,12 @@ class Heard:
     used: int
 
 
-def parse(buffer: bytes | bytearray) -> Heard | None:
-    """The first complete reply in `buffer`, or None: data lines, each ended by CR LF, then a prompt (L1003-1007).
+def parse_serial_reply(buffer: bytes | bytearray) -> SerialReply | None:
+    """Return the first complete reply in `buffer`, or None: data lines, each ended by CR LF, then a prompt
+    (L1003-1007).
 
     The echo of a command ends with CR alone, because nothing is added to it. A stray line end, and the control Z that
-    ends a listing, are skipped. `?` and a digit is no prompt but the report of a program's error (L3473).
+    ends a listing, are skipped. `?` and a digit is not a prompt but the report of a program's error (L3473).
     """
     lines: list[str] = []
     at, size, echoed = 0, len(buffer), False
@@ -28,9 +29,9 @@ def parse(buffer: bytes | bytearray) -> Heard | None:
         if first in b"\r\n\x1a":
             at += 1
         elif first == PROMPT:
-            return Heard(lines, False, echoed, at + 1)
+            return SerialReply(lines, False, echoed, at + 1)
         elif first == REFUSAL and not buffer[at + 1 : at + 2].isdigit():
-            return Heard(lines, True, echoed, at + 1)
+            return SerialReply(lines, True, echoed, at + 1)
         else:
             end = buffer.find(b"\r", at)
             if end < 0 or end + 1 == size:

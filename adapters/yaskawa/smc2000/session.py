@@ -1,9 +1,10 @@
-"""Exchanges with one unit of a serial line: its turn, its address, its reply, and how they find together again.
+"""Exchanges with one controller of a serial line: its turn, its address, its reply, and the resynchronisation after a
+disturbance.
 
-A reply is what it is on the SMC-4000: data lines ended by CR LF, and a prompt (L1003-1007). What programs print has the
-highest bit of every character set (CW 1, L8062-8088), so that it can not be taken for a reply. There is no checksum and
-no number on a reply, so one command is under way at a time; after a disturbance everything up to the text of a new
-marker is thrown away. A unit of a chain is asked for its own address before it is told anything that changes something.
+A reply has the format of the SMC-4000: data lines ended by CR LF, and a prompt (L1003-1007). Text printed by programs
+has the highest bit of every character set (CW 1, L8062-8088), so that it cannot be mistaken for a reply. Replies have
+no checksum and no number, so one command is under way at a time; after a disturbance everything up to the text of a new
+marker is discarded. The address of a controller of a chain is verified before any command that changes something.
 """
 
 import asyncio
@@ -12,41 +13,49 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TypeVar
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.smc2000.line import Line, Turn, address
-from adapters.yaskawa.smc2000.replies import Heard, parse
-from adapters.yaskawa.smc4000.session import Answer, Refused, Session, parse_numbers
+from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
+from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
+from adapters.yaskawa.smc4000.session import CommandReply, CommandSession, SmcCommandRefused, parse_numbers
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 
 T = TypeVar("T")
 
 
 ADDRESS = "XUN"
-"""The variable in which a unit of a chain keeps its address."""
+"""The variable in which a controller of a chain keeps its address."""
 
-# Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), what programs print marked (CW), no echo.
+# Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), program output marked (CW), no echo.
 _SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
 _REVISION = "\x12\x16"
 _TRIES = 2
-BEGINNINGS = ("BG", "XQ")  # what must not be said twice
-_REFUSED_NS = 30 * NS_PER_MS  # beyond the wire: a download that is refused is refused by then
+NOT_REPEATABLE = ("BG", "XQ")  # commands that must not be sent twice
+_REFUSED_NS = 30 * NS_PER_MS  # beyond the transmission time: the latest time of a refusal of a download
 _MARK = 0x80
 _END_OF_DATA = "\x1a"
-_PART_CHARACTERS = 240  # of a program at once: other units of a chain wait an eighth of a second for their turn
+_PART_CHARACTERS = 240  # of a program per turn: other controllers of a chain wait an eighth of a second for their turn
 _OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX,",",')
 _ELEMENTS_OF_LINE = 10  # at most 70 characters
 
 
-class SerialSession(Session):
-    """The exchanges of one unit. unit: its address in a chain, None for a controller alone on its line.
+class SerialCommandSession(CommandSession):
+    """The exchanges of one controller. unit: its address in a chain, None for a controller alone on its line.
 
-    hold_ns: how long a serial adapter may keep received bytes. tolerance: how far a baud rate may be off, relative.
+    hold_ns: longest time for which a serial adapter buffers received bytes. tolerance: largest relative deviation of a
+    baud rate.
     """
 
     def __init__(
-        self, line: Line, link: Link, clock: Clock, unit: int | None, silence_s: float, hold_ns: int, tolerance: float
+        self,
+        line: SharedSerialLine,
+        link: Link,
+        clock: Clock,
+        unit: int | None,
+        silence_s: float,
+        hold_ns: int,
+        tolerance: float,
     ) -> None:
         super().__init__(link, silence_s)
         self._line = line
@@ -58,79 +67,82 @@ class SerialSession(Session):
         self._plain: bytearray = bytearray()
         self._marked: bytearray = bytearray()
         self._settled = False
-        self._known = False
+        self._address_known = False
         self._own_stops = 0
 
-    # What others ask for
+    # The public exchanges
 
-    async def tell(self, command: str, still: Callable[[], None] | None = None) -> None:
-        await self.ask(command, 0, still)
+    async def send_command(self, command: str, before_send: Callable[[], None] | None = None) -> None:
+        await self.query_lines(command, 0, before_send)
 
-    def together(self) -> Turn:
-        """`async with`: exchanges with nobody else's between them."""
-        return Turn(self._line, self._unit)
+    def exclusive_turn(self) -> LineTurn:
+        """Return an `async with` context without exchanges of other controllers in between."""
+        return LineTurn(self._line, self._unit)
 
-    async def tell_all(self, commands: Iterable[str], still: Callable[[], None] | None = None) -> int:
-        """Settings, in one go: each has its own prompt, and one that is refused keeps the others from nothing."""
+    async def send_settings(self, commands: Iterable[str], before_send: Callable[[], None] | None = None) -> int:
+        """Send settings in one turn: each has its own prompt, and a refused one does not prevent the others."""
         given = list(commands)
-        return (await self._told("\r".join(given), still))[1].sent_ns if given else 0
+        return (await self._query_once("\r".join(given), before_send))[1].sent_ns if given else 0
 
-    async def tell_and_read(self, commands: Sequence[str], operands: Sequence[str], then: str) -> list[float]:
-        await self.tell_all(commands)
+    async def set_and_read(self, commands: Sequence[str], operands: Sequence[str], then: str) -> list[float]:
+        await self.send_settings(commands)
         found: list[float] = []
         for at in range(0, len(operands), _OPERANDS_OF_LINE):
-            found += (await self.numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
-        await self.tell(then)
+            found += (await self.read_numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
+        await self.send_command(then)
         return found
 
-    async def ask(self, command: str, lines: int = 1, still: Callable[[], None] | None = None) -> Answer:
-        found, answer = await self._told(command, still)
+    async def query_lines(
+        self, command: str, lines: int = 1, before_send: Callable[[], None] | None = None
+    ) -> CommandReply:
+        found, answer = await self._query_once(command, before_send)
         if len(found) < lines:
-            self._line.out_of_step()
-            raise self._garbage(command, f"{lines} lines", repr(found))
-        return Answer(found[len(found) - lines :], b"", answer.sent_ns, answer.received_ns)
+            self._line.mark_out_of_step()
+            raise self._garbage_fault(command, f"{lines} lines", repr(found))
+        return CommandReply(found[len(found) - lines :], b"", answer.sent_ns, answer.received_ns)
 
-    async def ask_all(self, command: str, characters: int = 0) -> list[str]:
-        """A command whose reply has any number of data lines. characters: what it may take before anything comes."""
-        return (await self._told(command, None, characters))[0]
+    async def query_all(self, command: str, characters: int = 0) -> list[str]:
+        """Send a command whose reply has any number of data lines. characters: length of text that may precede the
+        reply."""
+        return (await self._query_once(command, None, characters))[0]
 
-    async def revision(self) -> str:
-        """Control R control V (L13320). It ends without CR: what other units of a chain have made of it is cleared
-        before anybody else's turn."""
+    async def read_revision(self) -> str:
+        """Send control R control V (L13320). It ends without CR: the line buffers of other controllers of a chain are
+        cleared before the next turn."""
         line = self._line
-        async with self.together():
+        async with self.exclusive_turn():
             try:
-                await self._turn_to_unit()
-                reply, _ = await self._exchange(_REVISION, self._reply)
+                await self._select_controller()
+                reply, _ = await self._run_exchange(_REVISION, self._parse_buffer)
                 self._settled = False
-                await self._turn_to_unit()
+                await self._select_controller()
             except LinkClosed:
-                line.lost(self._link)
+                line.drop_link(self._link)
                 raise
             except BaseException:
-                line.out_of_step()
+                line.mark_out_of_step()
                 raise
         return " ".join(reply.lines)
 
-    async def numbers(self, *operands: str) -> tuple[list[float], Answer]:
-        """The values of operands, read in one command, in the whole numbers that VF gives (L4936)."""
+    async def read_numbers(self, *operands: str) -> tuple[list[float], CommandReply]:
+        """Return the values of operands, read in one command, in the whole numbers that VF gives (L4936)."""
         shown = (f"{operand}{{F2.4}}" if operand[:3] in ("_IT", "_MT") else operand for operand in operands)
         command = "MG " + ',",",'.join(shown)
-        answer = await self.ask(command)
+        answer = await self.query_lines(command)
         return parse_numbers(answer.lines[0], len(operands), command), answer
 
-    def shout(self, *commands: str) -> None:
+    def write_at_once(self, *commands: str) -> None:
         self._own_stops += 1
-        self._line.shout(self._link, self._unit, commands)
+        self._line.write_at_once(self._link, self._unit, commands)
 
-    async def download(self, lines: tuple[str, ...]) -> None:
-        """Replace the program (DL, L8203), line by line, so that a stop never waits behind more than one. The units of
-        a chain get it in parts, each behind what is there already (DL #, L8219)."""
-        for number, part in enumerate(self.parts(lines)):
-            await self._download("DL #" if number else "DL", part)
+    async def download_program(self, lines: tuple[str, ...]) -> None:
+        """Replace the program (DL, L8203), line by line, so that a stop never waits for more than one line. The
+        controllers of a chain get it in parts, each appended to the present text (DL #, L8219)."""
+        for number, part in enumerate(self.split_program(lines)):
+            await self._download_part("DL #" if number else "DL", part)
 
-    def parts(self, lines: tuple[str, ...]) -> list[tuple[str, ...]]:
-        """Lines of a program, in as many parts as other units of a chain are to have their turns between."""
+    def split_program(self, lines: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """Split a program's lines into parts between which other controllers of a chain get their turns."""
         if self._unit is None:
             return [lines]
         parts: list[tuple[str, ...]] = [()]
@@ -140,10 +152,10 @@ class SerialSession(Session):
             parts[-1] += (line,)
         return parts
 
-    async def _download(self, command: str, lines: tuple[str, ...]) -> None:
+    async def _download_part(self, command: str, lines: tuple[str, ...]) -> None:
         line = self._line
-        async with self.together():
-            await self._turn_to_unit()
+        async with self.exclusive_turn():
+            await self._select_controller()
             try:
                 line.in_step, self._settled, line.loading = False, False, True
                 await self._write_slowly(command)
@@ -152,121 +164,125 @@ class SerialSession(Session):
                     stops = line.stops
                     await self._write_slowly(text)
                     if line.stops != stops:
-                        raise CannotDo("stopped", "a stop came while its program was loaded", "it is tried again")
+                        raise Refusal(
+                            "stopped", "a stop came while its program was loaded", "the adapter keeps retrying"
+                        )
                 line.loading = False
-                await self._exchange(_END_OF_DATA, self._reply)
+                await self._run_exchange(_END_OF_DATA, self._parse_buffer)
             except LinkClosed:
-                line.lost(self._link)
+                line.drop_link(self._link)
                 raise
             finally:
-                # Whatever happened, the next exchange ends a download that is still open.
+                # In every case the next exchange ends a download that is still open.
                 line.loading, line.half_line = False, True
-                line.out_of_step()
+                line.mark_out_of_step()
 
     async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
         """Fill elements of an array from `first` on (QD, L10922), in short lines like a program's.
 
-        Without a pause after QD: should it be refused, they are lines of numbers, which are no commands.
+        There is no pause after QD: if it is refused, the elements are lines of numbers, which are not commands.
         """
         line = self._line
-        async with self.together():
-            await self._turn_to_unit()
+        async with self.exclusive_turn():
+            await self._select_controller()
             stops, loaded = line.stops, False
             try:
-                # Until its end all that is written is taken for elements; a backslash ends them, too.
+                # Until its end all bytes are taken as elements; a backslash ends this mode, too.
                 line.in_step, self._settled, line.loading = False, False, True
                 command = f"QD {name}[],{first},{first + len(values) - 1}"
                 for text in (command, *_element_lines(values)):
                     await self._write_slowly(text)
                     if line.stops != stops:
-                        raise CannotDo("stopped", "a stop came while a move was loaded", "try again")
+                        raise Refusal("stopped", "a stop came while a move was loaded", "try again")
                 line.loading = False
-                reply, _ = await self._exchange(_END_OF_DATA, self._reply)
+                reply, _ = await self._run_exchange(_END_OF_DATA, self._parse_buffer)
                 if reply.refused:
-                    raise Refused(command, 0, "the elements are not taken")
+                    raise SmcCommandRefused(command, 0, "the elements are not accepted")
                 loaded = line.stops == stops
             except LinkClosed:
-                line.lost(self._link)
+                line.drop_link(self._link)
                 raise
             finally:
                 line.loading = False
                 if loaded:
                     line.in_step = self._settled = line.half_line = True
                 else:
-                    line.out_of_step()
+                    line.mark_out_of_step()
 
     async def read_array(self, name: str, first: int, last: int) -> list[int]:
-        """Elements of an array, as whole numbers (QU, L10969): commas between, a control Z and the prompt behind."""
+        """Return elements of an array, as whole numbers (QU, L10969): separated by commas, followed by a control Z and
+        the prompt."""
         command = f"QU {name}[],{first},{last},1"
 
-        def whole() -> str | None:
-            self._sift()
+        def find_whole_reply() -> str | None:
+            self._separate_output()
             body, end, rest = self._plain.decode("latin-1").partition(_END_OF_DATA)
             if not end:
                 return "?" if body.strip() == "?" else None
             return body if rest.endswith(":") else None
 
-        async def ask() -> list[int]:
-            body, _ = await self._exchange(command, whole)
+        async def request_elements() -> list[int]:
+            body, _ = await self._run_exchange(command, find_whole_reply)
             if body == "?":
-                raise await self._why(command)
+                raise await self._query_refusal(command)
             return [int(value) for value in parse_numbers(body, last - first + 1, command)]
 
-        return await self._exchanged(command, ask)
+        return await self._run_in_turn(command, request_elements)
 
-    # Inside
+    # Internals
 
-    async def _told(
-        self, command: str, still: Callable[[], None] | None, characters: int = 0
-    ) -> tuple[list[str], Answer]:
-        """A command and its reply."""
-        return await self._exchanged(command, lambda: self._asked(command, characters), still)
+    async def _query_once(
+        self, command: str, before_send: Callable[[], None] | None, characters: int = 0
+    ) -> tuple[list[str], CommandReply]:
+        """Send a command and return its reply."""
+        return await self._run_in_turn(command, lambda: self._send_once(command, characters), before_send)
 
-    async def _exchanged(
-        self, command: str, ask: Callable[[], Awaitable[T]], still: Callable[[], None] | None = None
+    async def _run_in_turn(
+        self, command: str, request: Callable[[], Awaitable[T]], before_send: Callable[[], None] | None = None
     ) -> T:
-        """What `ask` finds out with a command, in a turn.
+        """Return the result of `request` for a command, in a turn.
 
-        Prompts of units at different places of a chain may overtake each other, so that after a stop of another one
-        nobody knows whose they are: then it is said again, or is a fault if it begins something.
+        Prompts of controllers at different positions of a chain may overtake each other, so that after a stop of
+        another controller their sender is unknown: then the command is repeated, or it is a fault if it begins
+        something.
         """
-        line, begins = self._line, command.startswith(BEGINNINGS)
+        line, begins = self._line, command.startswith(NOT_REPEATABLE)
         while True:
-            async with self.together():
+            async with self.exclusive_turn():
                 stops = line.stops
                 try:
-                    await self._turn_to_unit()
+                    await self._select_controller()
                     stops, own = line.stops, self._own_stops
-                    if still is not None:
-                        still()
+                    if before_send is not None:
+                        before_send()
                     line.in_step = False
-                    found = await ask()
+                    found = await request()
                     if line.stops - stops != self._own_stops - own:
-                        raise self._garbage(command, "its own reply", "a stop of another unit")
-                except Refused:
+                        raise self._garbage_fault(command, "its own reply", "a stop of another controller")
+                except SmcCommandRefused:
                     raise
                 except LinkClosed:
-                    line.lost(self._link)
+                    line.drop_link(self._link)
                     raise
-                except DriverFault:
-                    line.out_of_step()
+                except ControllerFault:
+                    line.mark_out_of_step()
                     if line.stops == stops or begins:
                         raise
                 except BaseException:
-                    line.out_of_step()
+                    line.mark_out_of_step()
                     raise
                 else:
                     line.in_step = True
                     if line.stops != stops:
-                        line.out_of_step()
+                        line.mark_out_of_step()
                     return found
 
-    async def _asked(self, command: str, characters: int) -> tuple[list[str], Answer]:
-        """One command, or several settings parted by CR; of which the first refused one is told."""
+    async def _send_once(self, command: str, characters: int) -> tuple[list[str], CommandReply]:
+        """Send one command, or several settings separated by CR; report the first refused one."""
         left, refused = deque(command.split("\r")), list[str]()
 
-        def whole() -> list[str] | None:
-            while (reply := self._reply()) is not None:
+        def find_whole_reply() -> list[str] | None:
+            while (reply := self._parse_buffer()) is not None:
                 asked = left.popleft()
                 if reply.refused:
                     refused.append(asked)
@@ -274,45 +290,45 @@ class SerialSession(Session):
                     return reply.lines
             return None
 
-        lines, sent_ns = await self._exchange(command, whole, room=characters)
+        lines, sent_ns = await self._run_exchange(command, find_whole_reply, room=characters)
         answered = sum(len(each) + 2 for each in lines) + 1
-        answer = Answer(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(answered))
+        answer = CommandReply(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(answered))
         if refused:
-            raise await self._why(refused[0])
+            raise await self._query_refusal(refused[0])
         return lines, answer
 
-    async def _why(self, command: str) -> Refused:
+    async def _query_refusal(self, command: str) -> SmcCommandRefused:
         if self._line.selected != self._unit:
-            # A stop of another unit came meanwhile.
-            await self._turn_to_unit()
-        reply, _ = await self._exchange("TC1", self._reply)
+            # A stop of another controller came meanwhile.
+            await self._select_controller()
+        reply, _ = await self._run_exchange("TC1", self._parse_buffer)
         words = reply.lines[-1] if reply.lines and not reply.refused else ""
         number, _, _ = words.partition(" ")
         if not number.isdigit():
-            raise self._garbage("TC1", "an error code with its text", repr(words))
+            raise self._garbage_fault("TC1", "an error code with its text", repr(words))
         self._line.in_step = True
-        return Refused(command, int(number), words if int(number) else "no reason given")
+        return SmcCommandRefused(command, int(number), words if int(number) else "no reason given")
 
-    async def _turn_to_unit(self) -> None:
-        """See to it that the unit hears the next command, and that nothing else comes before its reply."""
+    async def _select_controller(self) -> None:
+        """Ensure that the controller receives the next command, and that nothing else precedes its reply."""
         line = self._line
         if line.ahead is not None:
-            line.out_of_step()
-        # Who is missing already does not take the others' time twice.
+            line.mark_out_of_step()
+        # A controller that is already missing does not take the others' time twice.
         left = 1 if self._unit in line.missing else _TRIES
         while not (line.in_step and line.selected == self._unit and self._settled):
             stops, line.in_step, line.selected = line.stops, False, None
-            marker = line.marker()
-            asked = f'MG "{marker}",{ADDRESS}' if self._known else f'MG "{marker}"'
+            marker = line.next_marker()
+            asked = f'MG "{marker}",{ADDRESS}' if self._address_known else f'MG "{marker}"'
             # A half-typed line is spoiled before it is ended; an operator's entry and a download end (L4812, L8205).
             opening = "" if self._settled and not line.half_line else "\\\r"
             settings = () if self._settled else _SETTINGS
-            opening += self._addressed(left) + "".join(f"{command}\r" for command in settings)
+            opening += self._address_prefix(left) + "".join(f"{command}\r" for command in settings)
             try:
                 said = await self._marked_reply(opening, asked, marker)
-                if self._known and said != str(self._unit) and line.stops == stops:
-                    raise self._garbage(f"%{self._unit}", f"the unit with address {self._unit}", repr(said))
-            except DriverFault:
+                if self._address_known and said != str(self._unit) and line.stops == stops:
+                    raise self._garbage_fault(f"%{self._unit}", f"the controller with address {self._unit}", repr(said))
+            except ControllerFault:
                 if line.stops == stops:
                     self._settled = False
                     left -= 1
@@ -325,40 +341,41 @@ class SerialSession(Session):
                 line.in_step, line.selected, self._settled, line.half_line = True, self._unit, True, False
                 line.missing.discard(self._unit)
 
-    def _addressed(self, left: int) -> str:
-        """A controller alone does not need an address, unless somebody has addressed another one before."""
+    def _address_prefix(self, left: int) -> str:
+        """Return the command that selects this address. A controller alone needs none, unless another address was
+        selected before."""
         if self._unit is None:
-            return "" if left > 1 or self._settled else address(0)
-        return address(self._unit)
+            return "" if left > 1 or self._settled else address_command(0)
+        return address_command(self._unit)
 
-    async def _marked_reply(self, opening: str, asked: str, marker: str) -> str:
-        """Throw away everything up to the answer to `asked`; what follows the marker in it."""
+    async def _marked_reply(self, opening: str, query: str, marker: str) -> str:
+        """Discard everything up to the answer to `query`; return what follows the marker in it."""
         pattern = re.compile(re.escape(marker.encode()) + rb"([ \-0-9.]*)\r\n:")
 
-        def whole() -> str | None:
-            self._sift()
+        def find_whole_reply() -> str | None:
+            self._separate_output()
             found = pattern.search(self._plain)
             return None if found is None else found[1].decode().strip()
 
-        said, _ = await self._exchange(asked, whole, opening)
+        said, _ = await self._run_exchange(query, find_whole_reply, opening)
         return said
 
-    async def _exchange(  # pyright: ignore[reportIncompatibleMethodOverride]
+    async def _run_exchange(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, command: str, whole: Callable[[], T | None], opening: str = "", room: int = 0
     ) -> tuple[T, int]:
-        """Write a command and read until `whole` finds its complete reply; with the instant of writing.
+        """Write a command and read until `whole` finds its complete reply; return it with the instant of writing.
 
-        room: characters that the reply may take before anything comes.
+        room: length of text that may precede the reply.
         """
-        self._begin_with()
+        self._reset_buffer()
         data = (opening + command + ("\r" if command[:1] >= " " else "")).encode("latin-1")
         sent_ns = self._link.write(data)
         quiet_ns = sent_ns + (len(data) + room) * self._link.char_ns
-        return await self._read(command, whole, quiet_ns), sent_ns
+        return await self._read_until(command, whole, quiet_ns), sent_ns
 
-    async def _read(self, command: str, whole: Callable[[], T | None], quiet_ns: int) -> T:
-        """Read until `whole` is content. quiet_ns: until then nothing needs to come; then, and between bytes, silence
-        may not last."""
+    async def _read_until(self, command: str, whole: Callable[[], T | None], quiet_ns: int) -> T:
+        """Read until `whole` returns a result. quiet_ns: silence is allowed until then; after that, and between bytes,
+        silence is a timeout."""
         while True:
             found = whole()
             if found is not None:
@@ -369,81 +386,82 @@ class SerialSession(Session):
                 async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
                     received = await self._link.read()
             except TimeoutError:
-                raise self._silent(command) from None
+                raise self._silence_fault(command) from None
             self._plain += received.data
             self._at_ns = received.at_ns
 
-    def _begin_with(self, plain: bytes = b"", marked: bytes = b"") -> None:
-        """Forget what has come before; these bytes are already there."""
+    def _reset_buffer(self, plain: bytes = b"", marked: bytes = b"") -> None:
+        """Clear the input buffer; it then contains these bytes."""
         self._plain = bytearray(plain)
         self._marked = bytearray(marked)
 
-    def _reply(self) -> Heard | None:
-        """The whole reply to a command."""
-        self._sift()
-        parsed = parse(self._plain)
+    def _parse_buffer(self) -> SerialReply | None:
+        """Return the whole reply to a command, if complete."""
+        self._separate_output()
+        parsed = parse_serial_reply(self._plain)
         if parsed is None:
             return None
         del self._plain[: parsed.used]
         if parsed.echoed:
-            # Only a unit that was reset echoes; it is given its settings again.
+            # Only a controller that was reset echoes; its settings are loaded again.
             self._settled = False
         for line in parsed.lines:
             if not (line.isascii() and line.isprintable()):
-                raise self._garbage("a command", "text", repr(line[:40]))
+                raise self._garbage_fault("a command", "text", repr(line[:40]))
         return parsed
 
-    def _sift(self) -> None:
-        """Part what programs have printed from replies."""
+    def _separate_output(self) -> None:
+        """Separate program output from replies."""
         if any(byte & _MARK for byte in self._plain):
             self._marked += bytes(byte & ~_MARK for byte in self._plain if byte & _MARK)
             self._plain[:] = bytes(byte for byte in self._plain if not byte & _MARK)
 
-    # Times
+    # Timing
 
     def _begun_ns(self, sent_ns: int, characters: int) -> int:
-        """The earliest instant at which the last of the characters written at `sent_ns` can have arrived."""
+        """Return the earliest instant at which the last of the characters written at `sent_ns` can have arrived."""
         return sent_ns + round(characters * self._least_char_ns)
 
     def _emitted_ns(self, characters: int) -> int:
-        """The latest instant at which the first of so many characters, of which the last have just come, was sent."""
+        """Return the latest instant at which the first of `characters` characters, of which the last have just arrived,
+        was sent."""
         return self._at_ns - round(characters * self._least_char_ns)
 
     # Downloads
 
     async def _write_slowly(self, text: str) -> None:
-        """A line of a program; returns when it is on its way as a whole."""
+        """Write a line of a program; return when it has been sent as a whole."""
         data = text.encode("ascii") + b"\r"
         self._link.write(data)
         await self._quiet_for(len(data) * self._link.char_ns, text)
 
     async def _quiet_for(self, duration_ns: int, text: str) -> None:
-        """A download is silent until its end (L8205): what comes meanwhile is a refusal."""
+        """Wait for silence: a download is silent until its end (L8205); anything received meanwhile is a refusal."""
         until_ns = self._clock.now_ns() + duration_ns
         try:
             while True:
                 async with asyncio.timeout(max(until_ns - self._clock.now_ns(), 0) / NS_PER_S):
                     received = await self._link.read()
                 if b"?" in received.data:
-                    raise Refused(text, 0, "the program is not taken")
+                    raise SmcCommandRefused(text, 0, "the program is not accepted")
         except TimeoutError:
             return
 
-    def know_address(self) -> None:
-        """From now on the unit can be asked for its address."""
-        self._known = self._unit is not None
+    def verify_address(self) -> None:
+        """Verify the address of the controller from now on."""
+        self._address_known = self._unit is not None
 
-    def _silent(self, command: str) -> DriverFault:
+    def _silence_fault(self, command: str) -> ControllerFault:
         got = f"only {bytes(self._plain + self._marked)!r}" if self._plain or self._marked else "nothing"
-        who = "" if self._unit is None else f" from unit {self._unit}"
-        remedy = "check power and cable; is another program holding the controller's interpreter?"
+        who = "" if self._unit is None else f" from the controller with address {self._unit}"
+        remedy = "check power and cable; does another program occupy the controller's interpreter?"
         if self._unit is None:
-            remedy += " If it is part of a daisy chain, say `unit` in its link."
+            remedy += " If it is part of a daisy chain, set `unit` in its link."
         elif not self._line.answered:
-            remedy = "no unit of the chain answers: is the first one, next to this computer, switched on?"
+            remedy = "no controller of the chain answers: is the first one, next to this computer, switched on?"
         else:
-            remedy += " A unit that is off takes all units behind it off the chain."
-        return DriverFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
+            remedy += " A controller that is off disconnects all controllers that follow it in the chain."
+        return ControllerFault("no-answer", f"{self._link.place}: {got} came{who} after {command!r}", remedy)
 
 
 def _element_lines(values: Sequence[int]) -> Iterable[str]:

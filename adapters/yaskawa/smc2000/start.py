@@ -1,30 +1,33 @@
-"""A start on a serial line: in few exchanges, and all of it read back, for nothing else finds a garbled digit."""
+"""A start on a serial line: few exchanges, all verified by reading back, because nothing else detects a garbled
+digit."""
 
 from collections.abc import Mapping
 
-from adapters.yaskawa.common.lowering import AxisMove, LoweredMoves, Records
-from adapters.yaskawa.common.record import Record
-from adapters.yaskawa.common.start import Start
+from adapters.yaskawa.common.lowering import ContourLoad, YaskawaAxisMove, YaskawaLowered
+from adapters.yaskawa.common.record import DataRecord
+from adapters.yaskawa.common.start import SampleStart
 
 CONTOUR_END = 51  # of SC (L11427-11493)
 
 
-class SerialStart(Start):
-    """The one move that the resident program can hold."""
+class SerialStart(SampleStart):
+    """The single move that the resident program can execute."""
 
-    # Threads take turns command by command: a poll's comes before each of the two, and the last records are short.
+    # Threads alternate command by command: a poll's command precedes each of the two, and the last records are short.
     LATE_TICKS = 8
 
-    def _registers(self, lowered: LoweredMoves) -> Mapping[str, Mapping[int, int]]:
-        """The ends, too: PA reads as the place where the axis stands, but PR as the way to go (L10760, L10845)."""
-        registers = super()._registers(lowered)
-        if isinstance(lowered.load, Records):
+    def _verified_registers(self, lowered: YaskawaLowered) -> Mapping[str, Mapping[int, int]]:
+        """Return the registers to read back, ends included: PA reads as the present position of the axis, but PR as the
+        remaining distance (L10760, L10845)."""
+        registers = super()._verified_registers(lowered)
+        if isinstance(lowered.load, ContourLoad):
             return registers
-        return {**registers, "PR": {move.index: move.end - move.start for move in lowered.way}}
+        return {**registers, "PR": {move.index: move.end - move.start for move in lowered.moving_axes}}
 
-    def _reason(self, move: AxisMove, record: Record) -> tuple[str, str]:
-        """A contour that ST has ended early, after the record that was executed, reads like one that was played."""
+    def _end_reason(self, move: YaskawaAxisMove, record: DataRecord) -> tuple[str, str]:
+        """Return how the axis ended. A contour that ST has ended early, after the executed record, reads like a
+        completed one."""
         axis = record.axes[move.index]
         if move.samples and axis.stop_code == CONTOUR_END and axis.commanded != move.end:
             return "stopped", f"stopped in the middle of its contour, at {axis.commanded} counts"
-        return super()._reason(move, record)
+        return super()._end_reason(move, record)

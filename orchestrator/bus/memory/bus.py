@@ -1,11 +1,11 @@
 """The bus in virtual time: one shared medium in memory, driven by the given clock alone.
 
-It keeps what Zenoh keeps and no more, and can be hurt the way a real one can: partitions, dead and hung processes.
-Everything random comes from one seed; nothing depends on the order of a set or on a hash.
+It guarantees what Zenoh guarantees and no more, and has the same faults: partitions, dead and hung processes. All
+random values come from one seed; nothing depends on the order of a set or on a hash.
 
-A process in virtual time is known by the context (`contextvars`) that its code runs in. So every callback and
-handler runs in the context that was current when it was declared, while what the medium does runs in the context
-that the `MemoryNet` was made in: make it outside of every process.
+A process in virtual time is identified by the context (`contextvars`) that its code runs in. Every callback and
+handler therefore runs in the context in which it was declared, and the medium runs in the context in which the
+`MemoryNet` was made: make it outside all processes.
 """
 
 import asyncio
@@ -24,20 +24,20 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.virtual import VirtualClock
 
 LEASE_NS = 10 * NS_PER_S
-"""How long a silent process is believed to be there: Zenoh's default."""
+"""How long a silent process counts as present: Zenoh's default."""
 
 RECONNECT_NS = 200 * NS_PER_MS
-"""How long a process that was given up needs to be back."""
+"""How long a process needs to reconnect after it was given up."""
 
 DEATH_NS = 2 * NS_PER_MS
-"""How long a death needs to be known: the kernel closes the socket, the router tells the others."""
+"""How long a death takes to be detected: the kernel closes the socket, the router notifies the others."""
 
 QUEUE_LIMIT = 1000
-"""Droppable samples that wait before a process that does not run; more are lost."""
+"""Maximum droppable samples that wait for a process that does not run; more are lost."""
 
 
 class _Subscription:
-    """Who wants the samples of an expression."""
+    """The subscription of one process."""
 
     def __init__(self, bus: "MemoryBus", expression: str, callback: Callable[[Sample], None]) -> None:
         self.bus = bus
@@ -56,7 +56,7 @@ class _Subscription:
 
 
 class MemoryNet:
-    """The shared medium. Give it to nobody but who plays with faults; processes get what `join` returns."""
+    """The shared medium. Only the code that injects faults holds it; processes get the result of `join`."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class MemoryNet:
     # Faults
 
     def join(self, name: str) -> "MemoryBus":
-        """A place for the process `name`, which may be a new start of one that left or was killed."""
+        """Connect the process `name`, which may be a new start of one that left or was killed."""
         if name in self._buses:
             raise ValueError(f"{name!r} is on the bus already")
         bus = MemoryBus(self, name, self._queue_limit)
@@ -96,7 +96,7 @@ class MemoryNet:
         return bus
 
     def partition(self, *sides: set[str]) -> None:
-        """Cut the medium: what goes from one side to another is lost from now on, presence after the lease.
+        """Split the medium: samples and requests between sides are lost from now on, presence after the lease.
 
         A process that is in no side reaches all. Replaces an earlier partition.
         """
@@ -112,7 +112,7 @@ class MemoryNet:
         self.at(self.clock.now_ns() + self._lease_ns, lose)
 
     def heal(self) -> None:
-        """End the partition. Samples and requests pass at once; presence is back when all have reconnected."""
+        """End the partition. Samples and requests pass at once; presence returns when all have reconnected."""
         self._sides = {}
         self._cuts += 1
         healed = self._cuts
@@ -126,13 +126,13 @@ class MemoryNet:
         self.at(self.clock.now_ns() + self._reconnect_ns, find)
 
     def lose(self, name: str, share: float) -> None:
-        """Drop this share (0 to 1) of what may be dropped of a process's samples."""
+        """Drop this share (0 to 1) of a process's droppable samples."""
         self._lossy[name] = share
 
     def kill(self, name: str) -> None:
-        """The process is dead: nothing goes out or in any more. Others know within milliseconds.
+        """Kill the process: nothing leaves or reaches it any more. Others detect it within milliseconds.
 
-        This, `hang` and `resume` do nothing where the process has left the bus before.
+        This method, `hang` and `resume` do nothing if the process has left the bus before.
         """
         bus = self._buses.pop(name, None)
         if bus is None:
@@ -147,7 +147,7 @@ class MemoryNet:
         self.at(self.clock.now_ns() + DEATH_NS, known)
 
     def hang(self, name: str) -> None:
-        """The process stands still: what it gets or puts waits, requests to it time out, presence lasts a lease."""
+        """Suspend the process: what it sends or receives waits, requests to it time out, presence lasts for a lease."""
         bus = self._buses.get(name)
         if bus is None:
             return
@@ -164,7 +164,7 @@ class MemoryNet:
         self.at(self.clock.now_ns() + self._lease_ns, give_up)
 
     def resume(self, name: str) -> None:
-        """The process runs on: what waited goes on its way. If it was given up, it is back a little later."""
+        """Resume the process: what waited is delivered. If it was given up, it reconnects a little later."""
         bus = self._buses.get(name)
         if bus is None:
             return
@@ -181,27 +181,27 @@ class MemoryNet:
         if bus.given_up:
             self.at(self.clock.now_ns() + self._reconnect_ns, back)
 
-    # What the parts of the medium use
+    # Used by the parts of the medium
 
     def at(self, at_ns: int, call: Callable[[], None]) -> None:
-        """Let the medium do something later, in its own context whoever asked."""
+        """Schedule a call of the medium in its own context, whatever the caller's context."""
         self.clock.call_at_ns(at_ns, call, context=self._context)
 
     def arrival_ns(self, priority: Priority = Priority.EVENT) -> int:
-        """When something that leaves now is through the medium."""
+        """The arrival time of something that is sent now."""
         least_ns = self._latency.least_ns
         return self.clock.now_ns() + (least_ns if priority is Priority.ESTOP else self._latency.draw_ns(self._rng))
 
     def cut(self, one: "MemoryBus", other: "MemoryBus") -> bool:
-        """Whether nothing passes between two processes now."""
+        """Whether two processes are separated now."""
         return one.given_up or other.given_up or _apart(self._sides, one, other)
 
     def lost(self, one: "MemoryBus", other: "MemoryBus") -> bool:
-        """Whether two processes no longer believe in each other."""
+        """Whether two processes count each other as gone."""
         return one.given_up or other.given_up or _apart(self._lost_sides, one, other)
 
     def hand_over(self, bus: "MemoryBus", priority: Priority, call: Callable[[], None]) -> None:
-        """Something is at the door of a process: it goes in now, or when the process runs again."""
+        """Deliver something to a process: now, or when the process runs again."""
         if not bus.alive:
             return
         if bus.hung:
@@ -210,7 +210,7 @@ class MemoryNet:
             call()
 
     def leave(self, bus: "MemoryBus") -> None:
-        """A process goes in good order."""
+        """A process disconnects in good order."""
         if self._buses.get(bus.name) is bus:
             del self._buses[bus.name]
         self.drop_declarations(bus)
@@ -230,13 +230,13 @@ class MemoryNet:
             self._routes.clear()
 
     def drop_declarations(self, bus: "MemoryBus") -> None:
-        """Forget what a process subscribed to and served."""
+        """Remove the subscriptions and served keys of a process."""
         self._subscriptions = [each for each in self._subscriptions if each.bus is not bus]
         self._routes.clear()
         self.requests.forget_all(bus)
 
     def send(self, sender: "MemoryBus", sample: Sample, priority: Priority) -> None:
-        """Send a sample to everybody who subscribed."""
+        """Send a sample to all subscribers."""
         share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
         for receiver, subscriptions in self._route(sample.key):
@@ -285,7 +285,7 @@ def _deliver(subscriptions: list[_Subscription], sample: Sample) -> None:
 
 
 class MemoryBus:
-    """One process's place on a `MemoryNet`."""
+    """One process's connection to a `MemoryNet`."""
 
     def __init__(self, net: MemoryNet, name: str, queue_limit: int) -> None:
         self.net = net
@@ -365,10 +365,10 @@ class MemoryBus:
         self.incoming.clear()
         self.outgoing.clear()
         for outcome in self._asking.values():
-            outcome.fail(BusClosed(f"the bus of {self.name!r} was closed while it asked for {outcome.key}"))
+            outcome.fail(BusClosed(f"the bus of {self.name!r} was closed during a request for {outcome.key}"))
 
     def go_out(self, priority: Priority, send: Callable[[], None]) -> None:
-        """Something leaves this process: now, or when the process runs again."""
+        """Send something from this process: now, or when the process runs again."""
         if self.hung:
             self.outgoing.add(priority, send)
         elif self.alive:

@@ -1,4 +1,4 @@
-"""How long the in-memory medium takes, and what waits in it before a process that does not run."""
+"""Latency of the in-memory medium, and the queue in front of a process that does not run."""
 
 import random
 from collections import deque
@@ -11,7 +11,8 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """One way through the medium, in nanoseconds: `least` to `most` about `median`, and a rare tail up to `tail`.
+    """The latency of one direction through the medium, in ns: from `least` to `most` around `median`, with a rare
+    tail up to `tail`.
 
     The defaults are of the order of a local broker. An e-stop is express and always takes the least.
     """
@@ -23,7 +24,7 @@ class Latency:
     tail_chance: float = 0.001
 
     def draw_ns(self, rng: random.Random) -> int:
-        """One duration. Half of them are under the median; long ones are ever rarer."""
+        """Draw one duration. Half of them are below the median; long ones are increasingly rare."""
         u = rng.random()
         if u < self.tail_chance:
             return self.most_ns + int((self.tail_ns - self.most_ns) * rng.random())
@@ -45,7 +46,7 @@ class Waiting:
         return len(self._first) + len(self._others)
 
     def add(self, priority: Priority, call: Callable[[], None]) -> None:
-        """Keep `call`; a droppable one is lost when `limit` of them wait already."""
+        """Queue `call`; a droppable one is lost when `limit` of them wait already."""
         if priority is Priority.ESTOP:
             self._first.append(call)
             return
@@ -56,14 +57,14 @@ class Waiting:
         self._others.append(call)
 
     def release(self) -> None:
-        """Make every call that waits now, in order."""
+        """Make all waiting calls, in order."""
         calls = [*self._first, *self._others]
         self.clear()
         for call in calls:
             call()
 
     def clear(self) -> None:
-        """Forget every call."""
+        """Discard all calls."""
         self._first.clear()
         self._others.clear()
         self._droppable = 0

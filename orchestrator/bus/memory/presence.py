@@ -1,4 +1,4 @@
-"""Presence on the in-memory bus: who announced what, and what each watch believes about it."""
+"""Presence on the in-memory bus: announced tokens, and the view that each watch has of them."""
 
 import asyncio
 import contextvars
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Token:
-    """A process that says it is there under a key."""
+    """A process's announcement of presence under a key."""
 
     def __init__(self, board: "PresenceBoard", bus: "MemoryBus", key: str) -> None:
         self.bus = bus
@@ -26,7 +26,7 @@ class Token:
 
 
 class Watch:
-    """A process that wants to know who is there."""
+    """A process's watch for presence."""
 
     def __init__(
         self, board: "PresenceBoard", bus: "MemoryBus", expression: str, callback: Callable[[str, bool], None]
@@ -41,7 +41,7 @@ class Watch:
         self._stands = True
 
     def arrive(self, key: str, present: bool) -> None:
-        """Let the process know, in its own context."""
+        """Notify the process, in its own context."""
         asyncio.get_running_loop().call_soon(self._tell, key, present, context=self._context)
 
     def _tell(self, key: str, present: bool) -> None:
@@ -79,13 +79,13 @@ class PresenceBoard:
             self._watches.remove(watch)
 
     def gone(self, bus: "MemoryBus") -> None:
-        """A process has left or is known to be dead."""
+        """A process has left or its death was detected."""
         self._tokens = [token for token in self._tokens if token.bus is not bus]
         self._watches = [watch for watch in self._watches if watch.bus is not bus]
         self.refresh()
 
     def refresh(self) -> None:
-        """Something changed: tell every watch what is new to it."""
+        """Notify every watch of changes."""
         for watch in self._watches:
             self._refresh(watch)
 
@@ -93,7 +93,7 @@ class PresenceBoard:
         net = self._net
         present = {token.key: token.bus for token in self._tokens if intersects(watch.expression, token.key)}
         for key, bus in list(watch.believed.items()):
-            # What happens behind a cut is not known here until the lease has run out.
+            # Changes on the other side of a partition are unknown here until the lease has expired.
             if net.lost(watch.bus, bus) or (key not in present and not net.cut(watch.bus, bus)):
                 del watch.believed[key]
                 self._tell(watch, key, False)

@@ -1,4 +1,4 @@
-"""Requests on the in-memory bus: who serves what, and the way of a question there and of its answer back."""
+"""Requests on the in-memory bus: served expressions, and the transport of requests and replies."""
 
 import asyncio
 import contextvars
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Served:
-    """A process that answers on an expression."""
+    """A process that serves an expression."""
 
     def __init__(self, requests: "Requests", bus: "MemoryBus", expression: str, handler: Handler) -> None:
         self.bus = bus
@@ -30,7 +30,7 @@ class Served:
 
 
 class _Question:
-    """A request on its way: who asked, and who may still answer."""
+    """A request in progress: its sender, and the servers that may still answer."""
 
     def __init__(self, asker: "MemoryBus", payload: bytes, outcome: Outcome, asked: list[Served]) -> None:
         self.asker = asker
@@ -46,7 +46,7 @@ class _Question:
         self._keep([served for served in self._open if served.bus is not bus])
 
     def done(self, served: Served) -> None:
-        """It has answered, or will not."""
+        """The server has answered, or will not."""
         self._keep([other for other in self._open if other is not served])
 
     def _keep(self, still_open: list[Served]) -> None:
@@ -56,12 +56,12 @@ class _Question:
 
 
 class Requests:
-    """All that is served and asked on a net."""
+    """All served expressions and requests of a net."""
 
     def __init__(self, net: "MemoryNet") -> None:
         self._net = net
         self._served: list[Served] = []
-        self._serving: dict[str, list[Served]] = {}  # by what was asked for, since `_served` has changed last
+        self._serving: dict[str, list[Served]] = {}  # by requested key, since the last change of `_served`
         self._questions: dict[Outcome, _Question] = {}
         self._handling: dict[asyncio.Task[None], Served] = {}
 
@@ -76,12 +76,12 @@ class Requests:
             self._serving.clear()
 
     def forget_all(self, bus: "MemoryBus") -> None:
-        """A process has left or died: nothing new is asked of it."""
+        """A process has left or died: it gets no new requests."""
         for served in [served for served in self._served if served.bus is bus]:
             self.forget(served)
 
     def gone(self, bus: "MemoryBus") -> None:
-        """It is known that a process will not answer what it was asked."""
+        """It was detected that a process will not answer its requests."""
         for outcome, question in list(self._questions.items()):
             if question.asker is bus and not bus.alive:
                 del self._questions[outcome]
@@ -89,7 +89,7 @@ class Requests:
                 question.give_up(bus)
 
     def ask(self, asker: "MemoryBus", payload: bytes, outcome: Outcome) -> None:
-        """Send a request to everybody who serves its key."""
+        """Send a request to all servers of its key."""
         if asker.given_up or outcome.over:
             return
         serving = self._serving.get(outcome.key)
@@ -139,7 +139,7 @@ class Requests:
             self._reply(served, question, partial(question.outcome.take, key, payload))
 
     def cancel(self, bus: "MemoryBus") -> None:
-        """A process leaves: what it was about to answer is broken off."""
+        """A process leaves: pending answers are cancelled."""
         for task, served in list(self._handling.items()):
             if served.bus is bus:
                 task.cancel()

@@ -1,11 +1,12 @@
 """The bus over Zenoh, through a router.
 
-Two sessions, so that what may be lost never holds up what may not: one takes the subscriptions and puts state, with
-DROP; the other puts events and e-stops, asks, answers and carries presence, and blocks rather than lose. Each puts
-from a sender thread of its own. Presence stands on the session that serves, so that who is seen can be asked.
+It has two sessions, so that droppable samples never delay others: one takes the subscriptions and publishes state,
+with DROP; the other publishes events and e-stops, sends requests, answers and carries presence, and blocks rather
+than drops. Each publishes from a sender thread of its own. Presence is on the session that serves, so that a process
+that is present can be queried.
 """
 
-# Zenoh's type stubs leave out many return types.
+# Zenoh's type stubs omit many return types.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingModuleSource=false
 
@@ -28,26 +29,26 @@ from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import Inbox, Sender, off_loop
 
 QUEUE_LIMIT = 1000
-"""State samples that wait in this process, outwards or inwards; of more the oldest are lost."""
+"""Maximum state samples that wait in this process, outwards or inwards; beyond that the oldest are lost."""
 
 CLOSE_TIMEOUT_S = 1.0
-"""For each of: putting what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
+"""For each of: sending what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
 
 _LEFT_S = 3.0
 _DROPPED_S = 0.1
-"""A process that left its sessions while they were being closed does not end before they are, and what they held is
-dropped: the interpreter would end Zenoh's threads in the middle of that, and they the process, by SIGABRT. A router
-that hangs is not waited for any longer: threads that wait for it do nothing more."""
+"""A process must not end before its sessions are closed and their objects are dropped: otherwise the interpreter
+ends Zenoh's threads in the middle of that, and the process ends by SIGABRT. A hanging router is not waited for
+beyond that: threads that wait for it do nothing else."""
 
 _GRACE_S = 0.02
-"""A request ends without replies either because nobody serves it or because the router has just died, which the
-session may learn some milliseconds later."""
+"""A request ends without replies either because the key is not served or because the router has just died, which the
+session may detect some milliseconds later."""
 
 _QUERY_MARGIN_S = 0.5
-"""Zenoh gives up a query this long after its asker."""
+"""Zenoh gives up a query this long after its sender."""
 
 _REFUSED = "text/plain;refused"
-"""Encoding of a refusal. Error replies that Zenoh makes itself (a time-out) have another."""
+"""Encoding of a refusal. Error replies that Zenoh makes itself (a timeout) have another one."""
 
 T = TypeVar("T")
 A = TypeVar("A")
@@ -68,14 +69,14 @@ def _priority(sample: zenoh.Sample) -> Priority:
 
 
 def _direct(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
-    """A callback on Zenoh's own network thread, which must only hand over what has come, as an inbox does. By default
-    Zenoh makes a thread for each callback, which for a question means each time that it is asked, and which ends
-    some time after its session: if the interpreter ends meanwhile, the process does by SIGABRT."""
+    """Make a callback on Zenoh's own network thread, which must only hand over what has arrived, like an inbox. By
+    default Zenoh makes a thread for each callback, for a query each time, which ends some time after its session;
+    if the interpreter ends meanwhile, the process ends by SIGABRT."""
     return Callback(arrive, end, indirect=False)
 
 
 class _Declaration:
-    """Something declared on a session. All that stand are kept in `standing`: Zenoh takes back what nobody holds."""
+    """A declaration on a session. `standing` holds all active ones, because Zenoh undeclares what is not referenced."""
 
     def __init__(self, standing: "dict[_Declaration, Callable[[], None]]") -> None:
         self.stands = True
@@ -92,7 +93,7 @@ class _Declaration:
 
 
 class ZenohBus:
-    """One process's place on the bus. Made by `open_bus`."""
+    """One process's connection to the bus. Made by `open_bus`."""
 
     def __init__(self, endpoint: str, lossy: zenoh.Session, sure: zenoh.Session) -> None:
         self._endpoint = endpoint
@@ -107,7 +108,7 @@ class ZenohBus:
         self._disconnects = 0
         self._asking: list[Outcome] = []
         self._answering: set[asyncio.Task[None]] = set()
-        # Kept only so that it is not taken back.
+        # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_direct(self._transport_event))
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
@@ -179,7 +180,7 @@ class ZenohBus:
             reply = partial(query.reply_err, text, encoding=_REFUSED)
 
         def send() -> None:
-            # Leaving the query tells the asker that no more comes from here.
+            # Dropping the query tells its sender that no more replies come from here.
             with query:
                 reply()
 
@@ -218,7 +219,7 @@ class ZenohBus:
                 self._loop.call_later(_GRACE_S, end_unanswered)
 
         def end_unanswered() -> None:
-            # Cut off, nobody knows who serves: then only the time decides.
+            # While disconnected it is unknown which keys are served: only the timeout ends the request.
             if not unsure and self._disconnects == disconnects and self._connected():
                 outcome.complete()
 
@@ -258,7 +259,7 @@ class ZenohBus:
         believed: set[str] = set()
 
         def tell(key: str, present: bool) -> None:
-            # Zenoh may repeat what it said before, e.g. after a reconnect.
+            # Zenoh may repeat an earlier notification, e.g. after a reconnect.
             if not declaration.stands or present == (key in believed):
                 return
             if present:
@@ -287,7 +288,7 @@ class ZenohBus:
             return
         self._closed = True
         for outcome in self._asking:
-            outcome.fail(BusClosed(f"the bus was closed while it asked for {outcome.key}"))
+            outcome.fail(BusClosed(f"the bus was closed during a request for {outcome.key}"))
         for task in list(self._answering):
             task.cancel()
         self._inbox.close()
@@ -315,13 +316,13 @@ class ZenohBus:
                     if isinstance(failure, Exception):
                         _LOG.warning("closing the bus at %s: %s", self._endpoint, failure)
         except TimeoutError:
-            _LOG.warning("the router at %s does not take our leave; left without", self._endpoint)
+            _LOG.warning("the router at %s does not answer; disconnected without it", self._endpoint)
             left = True
         if left:
             atexit.register(end)
 
     def _flush(self) -> bool:
-        """Put what is left. Whether some of it could not be put in time: then that may still be under way."""
+        """Send what is left. Returns whether some of it could not be sent in time and may still be in progress."""
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
         left = [sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)]
         if sum(left):
@@ -346,13 +347,13 @@ class ZenohBus:
     def _transport_changed(self, lost: bool) -> None:
         if lost:
             self._disconnects += 1
-            _LOG.warning("lost the router at %s; what is put meanwhile is lost", self._endpoint)
+            _LOG.warning("lost the router at %s; samples published meanwhile are lost", self._endpoint)
         elif self._disconnects:
             _LOG.info("the router at %s is back", self._endpoint)
 
 
 async def open_bus(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> ZenohBus:
-    """A place on the bus whose router listens at `endpoint`. Raises `RouterUnreachable` after `timeout_s`."""
+    """Connect to the bus whose router listens at `endpoint`. Raises `RouterUnreachable` after `timeout_s`."""
     lossy = await off_loop("bus-open", partial(open_session, endpoint, timeout_s))
     try:
         sure = await off_loop("bus-open", partial(open_session, endpoint, timeout_s))

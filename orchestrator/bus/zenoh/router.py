@@ -1,6 +1,6 @@
 """The router as a process of its own: `python -m orchestrator.bus.zenoh.router ENDPOINT PARENT_PID`.
 
-Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. Exit code 4: the endpoint is taken.
+Prints `ready` when it listens, and ends with SIGTERM, SIGINT or its parent. Exit code 4: the endpoint is in use.
 """
 
 import signal
@@ -15,7 +15,7 @@ TAKEN = 4
 
 def main(endpoint: str, parent_pid: int) -> int:
     ends = {signal.SIGTERM, signal.SIGINT}
-    # Blocked before Zenoh starts its threads, so that only `sigwait` sees them.
+    # Blocked before Zenoh starts its threads, so that only `sigwait` receives them.
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     die_with_parent(parent_pid)
     hurry(Urgency.BUS)

@@ -1,9 +1,9 @@
-"""Opening Zenoh: explicit endpoints only. A router for the fleet, and the sessions of those who take part.
+"""Opening of Zenoh sessions and routers, with explicit endpoints only.
 
-Nothing is scouted, by multicast or by gossip: who talks to whom is written down, or not at all.
+Nothing is discovered by multicast or gossip: all connections are configured.
 """
 
-# Zenoh's type stubs leave out many return types.
+# Zenoh's type stubs omit many return types.
 # pyright: reportUnknownMemberType=false
 
 import json
@@ -12,10 +12,10 @@ from types import TracebackType
 import zenoh
 
 CONNECT_TIMEOUT_S = 5.0
-"""How long to wait for a router that is just being started."""
+"""How long to wait for a router that is starting."""
 
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
-"""Zenoh's own periods grow to 4 s. A restarted router of the same host should be found sooner."""
+"""Zenoh's own retry periods grow to 4 s. A restarted router on the same host should be found sooner."""
 
 _LOOPBACK = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
 
@@ -42,10 +42,11 @@ def _config(mode: str, **settings: object) -> zenoh.Config:
 
 
 def open_session(endpoint: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.Session:
-    """A client session through the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`. Blocks until it stands.
+    """Open a client session through the router at `endpoint`, e.g. `tcp/127.0.0.1:7447`. Blocks until it is
+    connected.
 
-    When the router goes away and comes back, Zenoh reconnects and declares everything again.
-    Raises `RouterUnreachable` after `timeout_s`.
+    When the router goes away and comes back, Zenoh reconnects and declares everything again. Raises
+    `RouterUnreachable` after `timeout_s`.
     """
     config = _config(
         "client",
@@ -88,9 +89,10 @@ class Router:
 
 
 def open_router(endpoint: str) -> Router:
-    """Route for the fleet at `endpoint`. Plain TCP is for this host alone: elsewhere it raises `RouterRefused`.
+    """Route for the fleet at `endpoint`. Plain TCP is allowed on this host only: otherwise it raises
+    `RouterRefused`.
 
-    Raises `RouterRefused` also when the endpoint is taken or malformed.
+    Raises `RouterRefused` also if the endpoint is in use or malformed.
     """
     if endpoint.startswith("tcp/") and not endpoint.startswith(_LOOPBACK):
         raise RouterRefused(f"{endpoint} would listen to the network without TLS; use tcp/127.0.0.1:PORT or tls/...")
@@ -99,7 +101,8 @@ def open_router(endpoint: str) -> Router:
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (
-                f"the router cannot listen at {endpoint}: another process does. Stop that one, or choose a free port"
+                f"the router cannot listen at {endpoint}: it is in use by another process. Stop that one, "
+                "or choose a free port"
             )
         else:
             cause = f"the router cannot listen at {endpoint}: {error}"

@@ -1,7 +1,7 @@
 """The two crossings between the event loop and Zenoh's threads: a sender outwards, an inbox inwards.
 
-The loop never calls a Zenoh function that could wait for the transport: a put to a router that stands still blocks
-for seconds. And nothing is put from a Zenoh callback, which would stall everything else that comes in.
+The loop never calls a Zenoh function that could wait for the transport: a put to a stopped router blocks for
+seconds. And nothing is published from a Zenoh callback, which would stall all other input.
 """
 
 import asyncio
@@ -21,14 +21,14 @@ _LOG = logging.getLogger(__name__)
 _ORDER = (Priority.ESTOP, Priority.EVENT, Priority.STATE)
 
 SLOW_S = 1.0
-"""A call to Zenoh that takes longer goes into the log."""
+"""A call to Zenoh that takes longer is logged."""
 
 _BATCH = 64
-"""Calls from the inbox before the loop gets its turn."""
+"""Calls from the inbox before the loop runs other work."""
 
 
 class _Lanes:
-    """Calls by priority, the most urgent first. Of `STATE` the oldest is lost when there are more than `limit`."""
+    """Calls by priority, the most urgent first. Beyond `limit` the oldest `STATE` call is lost."""
 
     def __init__(self, limit: int) -> None:
         self._lanes: dict[Priority, deque[Callable[[], None]]] = {
@@ -53,7 +53,7 @@ class _Lanes:
 
 
 class Sender:
-    """A thread that makes the calls it is handed, one after the other, e-stops first."""
+    """A thread that makes queued calls one after the other, e-stops first."""
 
     def __init__(self, name: str, limit: int) -> None:
         self._lanes = _Lanes(limit)
@@ -65,19 +65,19 @@ class Sender:
 
     @property
     def backlog(self) -> int:
-        """Calls that were handed over and are not done."""
+        """Queued calls that are not done."""
         with self._changed:
             return len(self._lanes) + self._busy
 
     def hand(self, priority: Priority, call: Callable[[], None]) -> None:
-        """Have `call` made soon. Never waits for another call."""
+        """Queue `call`. Never waits for another call."""
         with self._changed:
             self._lanes.add(priority, call)
             self._changed.notify()
 
     def stop(self, timeout_s: float) -> int:
-        """Make what is left, then end. How many calls were not made in time: they are lost, all but the one that is
-        being made."""
+        """Make the remaining calls, then end. Returns how many calls were not made in time: they are lost, except
+        the one that is in progress."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
@@ -88,7 +88,7 @@ class Sender:
             return left
 
     def join(self, timeout_s: float) -> None:
-        """Wait for the end of a call that is still being made."""
+        """Wait for the end of a call that is in progress."""
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
@@ -97,9 +97,9 @@ class Sender:
             try:
                 call()
             except Exception:
-                # The transport's complaint must reach the log and must not end the thread.
+                # The transport's error must reach the log and must not end the thread.
                 _LOG.exception("%s: a call to the bus failed", self._thread.name)
-            # After 5 s of blocking Zenoh closes the transport and loses what it held, without an error.
+            # After 5 s of blocking Zenoh closes the transport and loses its contents, without an error.
             if (took_s := time.monotonic() - began_s) > SLOW_S:
                 _LOG.warning("%s: the router took %.1f s for one call; samples may be lost", self._thread.name, took_s)
 
@@ -113,7 +113,7 @@ class Sender:
 
 
 class Inbox:
-    """Brings calls from Zenoh's threads to the event loop, e-stops first and never more than it can hold."""
+    """Passes calls from Zenoh's threads to the event loop, e-stops first and never more than it can hold."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, limit: int) -> None:
         self._loop = loop
@@ -123,7 +123,7 @@ class Inbox:
         self._closed = False
 
     def add(self, priority: Priority, call: Callable[[], None]) -> None:
-        """Have `call` made on the loop. Callable from any thread; never waits for the loop."""
+        """Queue `call` for the loop. Callable from any thread; never waits for the loop."""
         with self._lock:
             if self._closed or self._loop.is_closed():
                 return
@@ -133,7 +133,7 @@ class Inbox:
                 self._loop.call_soon_threadsafe(self._drain)
 
     def close(self) -> None:
-        """Forget what is left and take nothing more."""
+        """Discard what is left and accept no more."""
         with self._lock:
             self._closed = True
 
@@ -147,17 +147,17 @@ class Inbox:
             try:
                 call()
             except Exception as error:
-                # One faulty callback must not keep the others from what they wait for.
+                # One faulty callback must not prevent the others.
                 self._loop.call_exception_handler({"message": "a callback of the bus failed", "exception": error})
         self._loop.call_soon(self._drain)
 
 
 async def off_loop(name: str, call: Callable[[], T]) -> T:
-    """Make `call` in a thread of its own, and wait for it. The thread is left behind when the wait is given up.
+    """Make `call` in a thread of its own, and wait for it. The thread is abandoned when the wait is given up.
 
-    The loop's executor would do but for its end: it waits for stuck calls when the loop is closed. `call`, and with it
-    what it holds of Zenoh, is let go before its waiter goes on: a thread that does that while the interpreter ends
-    would end the process by SIGABRT, because it is inside of Zenoh when it may not come back.
+    The loop's executor is not used because it waits for stuck calls when the loop is closed. `call`, with the Zenoh
+    objects that it holds, is released before its waiter continues: a thread that releases them while the interpreter
+    ends would end the process by SIGABRT, because it is inside Zenoh when it may not return.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
@@ -179,7 +179,7 @@ async def off_loop(name: str, call: Callable[[], T]) -> T:
         except Exception as error:
             failure = error
         del call
-        # A closed loop has nobody who waits.
+        # A closed loop has no waiters.
         if not loop.is_closed():
             loop.call_soon_threadsafe(settle, result, failure)
 

@@ -1,4 +1,4 @@
-"""`tutti axis jog`: the jog panel on this terminal, joined with the bus."""
+"""`tutti axis jog`: the jog panel on this terminal, connected to the bus."""
 
 import asyncio
 import signal
@@ -35,17 +35,17 @@ moves at most 0.2 s longer than requests arrive, then slows down by itself."""
 @click.argument("axes", nargs=-1)
 @fleet_options
 def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
-    """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows where they are.
+    """Jog AXES (axes or controllers; without: all) by the arrow keys, on a panel that shows their positions.
 
     ←/→ jog the chosen axis in its negative/positive direction while held, ↑/↓ choose the axis, + - 1…9 the speed;
-    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C leaves. An axis that is jogged is leased until
-    3 s after it has come to rest: meanwhile jobs that need it wait, and other people are refused.
+    space stops, s stops the whole fleet, ! is an e-stop, q or Ctrl-C exits. A jogged axis is leased until 3 s after
+    it has come to rest: meanwhile jobs that need it wait, and other users are refused.
     """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         fail(
             "the jog panel needs a terminal on standard input and output",
             BAD_INPUT,
-            "to move by hand from a script: `tutti axis move --relative AXIS=DISTANCE`",
+            "to move axes from a script: `tutti axis move --relative AXIS=DISTANCE`",
         )
 
     async def act(tutti: "Tutti") -> int:
@@ -57,7 +57,7 @@ def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
 
 
 async def _panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
-    """Run the panel; its exit code."""
+    """Run the panel; return its exit code."""
     from orchestrator.cli.jog.panel import JogPanel
     from orchestrator.cli.jog.session import JogSession
     from orchestrator.cli.jog.terminal import Terminal
@@ -69,7 +69,7 @@ async def _panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
         if not ended.done():
             ended.set_result(INTERRUPTED)
 
-    # From here on every way out leads through the end of the context below, which restores the terminal.
+    # From here on every exit passes the end of the context below, which restores the terminal.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         asyncio.get_running_loop().add_signal_handler(number, end)
     with Terminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
@@ -79,10 +79,10 @@ async def _panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
 
 
 async def _configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str, Axis]":
-    """The configurations of the wanted axes, in order; an unknown name ends with exit code 2."""
+    """Return the configurations of the wanted axes, in order; an unknown name ends with exit code 2."""
     from orchestrator.model.fleet import Axis
 
-    infos = await asyncio.gather(*(tutti.info(controller) for controller in await tutti.status()))
+    infos = await asyncio.gather(*(tutti.controller_info(controller) for controller in await tutti.status()))
     known = {
         f"{info.controller}.{name}": Axis.model_validate(axis) for info in infos for name, axis in info.axes.items()
     }

@@ -1,10 +1,10 @@
-"""Whether a key is held: a dead man's handle made of what the terminal says.
+"""Detection of a held key: hold-to-run control from the key events of a terminal.
 
-Where the terminal reports releases, a release ends the hold at once. It must also go on saying something of the
-keyboard, repeats of the held key at least: behind a connection that hangs no release would ever come.
+Where the terminal reports releases, a release ends the hold immediately. The terminal must also keep reporting key
+events, at least repeats of the held key: over a connection that hangs no release would ever arrive.
 
 A plain terminal only repeats a held key. A first press is a tap, because repeats begin 250 to 660 ms later; from the
-first repeat on the key is held until no repeat has come for `WAIT_NS`.
+first repeat on the key counts as held until no repeat has arrived for `WAIT_NS`.
 """
 
 from enum import Enum
@@ -12,25 +12,25 @@ from enum import Enum
 from orchestrator.cli.jog.keys import Key
 from orchestrator.clock.base import NS_PER_MS
 
-TAP_NS = 200 * NS_PER_MS  # as long as one jog is good for
-# Repeats come at 25 to 40 Hz, on some systems by default at 11 Hz: one of the quick ones may be missing.
+TAP_NS = 200 * NS_PER_MS  # the validity of one jog request
+# Repeats come at 25 to 40 Hz, on some systems by default at 11 Hz: at the higher rates one may be missing.
 WAIT_NS = 120 * NS_PER_MS
-BEGIN_NS = 800 * NS_PER_MS  # the slowest usual delay before repeats begin is 660 ms
-GAP_NS = 250 * NS_PER_MS  # among repeats: a key that is silent for longer has been let go
+BEGIN_NS = 800 * NS_PER_MS  # the slowest common delay before repeats begin is 660 ms
+GAP_NS = 250 * NS_PER_MS  # between repeats: a key without events for longer has been released
 SILENT_NS = 1000 * NS_PER_MS  # with releases reported: longer than the slowest delay before repeats
 
 
 class Grip(Enum):
-    """What happens to the held key."""
+    """A change of the held key."""
 
-    BEGIN = "pressed anew"
-    GO_ON = "it was taken for a tap, or for let go, and is held after all"
-    END = "let go"
-    SILENT = "the terminal has fallen silent"
+    BEGIN = "pressed"
+    GO_ON = "it counted as a tap, or as released, and is held after all"
+    END = "released"
+    SILENT = "the terminal sends nothing more"
 
 
 class Hold:
-    """Follows one held key. `releases`: the terminal reports them. Instants in ns on any clock."""
+    """Tracks one held key. `releases`: the terminal reports them. Instants in ns on any clock."""
 
     def __init__(self, releases: bool) -> None:
         self.releases = releases
@@ -41,23 +41,23 @@ class Hold:
         self._repeats = False
 
     def take(self, key: Key, now_ns: int) -> Grip | None:
-        """A key that can be held has said something."""
+        """Handle an event of a key that can be held."""
         return self._reported(key, now_ns) if self.releases else self._guessed(key.name, now_ns)
 
     def alive(self, now_ns: int) -> None:
-        """Another key has said something: the terminal is there."""
+        """Note an event of another key: the terminal is connected."""
         if self.releases and self.key is not None:
             self.until_ns = now_ns + SILENT_NS
 
     def look(self, now_ns: int) -> Grip | None:
-        """What the passing of time means."""
+        """Return the change that follows from the time passed."""
         if self.until_ns is None or now_ns < self.until_ns:
             return None
         self.drop()
         return Grip.SILENT if self.releases else Grip.END
 
     def drop(self) -> None:
-        """Nothing is held any more, whatever the finger does."""
+        """Treat the key as released, whatever events follow."""
         self.key = self.until_ns = None
 
     def _reported(self, key: Key, now_ns: int) -> Grip | None:

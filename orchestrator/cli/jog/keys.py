@@ -1,4 +1,5 @@
-"""Bytes of a terminal as keys: the old sequences, and those of the kitty keyboard protocol, which knows releases.
+"""A parser for key sequences of terminals: the legacy ones, and those of the kitty keyboard protocol, which reports
+releases.
 
 https://sw.kovidgoyal.net/kitty/keyboard-protocol/
 """
@@ -10,7 +11,7 @@ Kind = Literal["press", "repeat", "release"]
 
 _ESC = 0x1B
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-# Keys that have no text, by their number in the kitty protocol; the keypad's arrows and signs count as the others.
+# Keys without text, by their number in the kitty protocol; the keypad's arrows and signs count as the main ones.
 _NUMBERED = {
     9: "tab",
     13: "enter",
@@ -27,14 +28,14 @@ _NUMBERED = {
 _CONTROLS = {0x08: "backspace", 0x09: "tab", 0x0A: "enter", 0x0D: "enter", 0x20: "space", 0x7F: "backspace"}
 _KINDS: dict[str, Kind] = {"": "press", "1": "press", "2": "repeat", "3": "release"}
 _SHIFT, _ALT, _CTRL = 1, 2, 4
-# Device control, operating system command and the like: text up to the string terminator.
+# Device control, operating system command and similar: text up to the string terminator.
 _STRINGS = frozenset(b"PX]^_")
-_LONGEST = 256  # no sequence of a terminal is longer; whatever is, is garbage
+_LONGEST = 256  # no terminal sends a longer sequence; a longer one is garbage
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key: an arrow by its name, `space`, `escape`, a character, or `ctrl+c`. Plain terminals only know presses."""
+    """A key: an arrow by its name, `space`, `escape`, a character, or `ctrl+c`. Plain terminals report only presses."""
 
     name: str
     kind: Kind = "press"
@@ -42,39 +43,39 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """The terminal's window has got the keyboard (`on`), or has lost it."""
+    """The terminal's window got the keyboard focus (`on`), or lost it."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
 class KeyboardFlags:
-    """The answer of a terminal that knows the kitty protocol: what is switched on now."""
+    """The reply of a terminal that supports the kitty protocol: the flags that are switched on now."""
 
     flags: int
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceAttributes:
-    """The answer that every terminal gives."""
+    """The reply that every terminal sends."""
 
 
 Event = Key | Focus | KeyboardFlags | DeviceAttributes
 
 
 class KeyParser:
-    """Takes bytes as they come, in any pieces. What it can not read it passes over."""
+    """Parses bytes as they arrive, in any pieces. Unknown sequences are skipped."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     @property
     def waiting(self) -> bool:
-        """Whether a sequence has begun. When nothing follows soon, `expire`."""
+        """Whether a sequence is incomplete. When nothing follows soon, call `expire`."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[Event]:
-        """The events that end with `data`, in order."""
+        """Return the events that end with `data`, in order."""
         self._rest += data
         events: list[Event] = []
         while self._rest:
@@ -89,13 +90,13 @@ class KeyParser:
         return events
 
     def expire(self) -> list[Event]:
-        """Nothing follows: what has begun is the Escape key, or a sequence that was cut off."""
+        """Treat the incomplete sequence as finished: it is the Escape key, or a sequence that was cut off."""
         alone, self._rest = self._rest == b"\x1b", b""
         return [Key("escape")] if alone else []
 
 
 def _next(data: bytes) -> tuple[int, Event | None]:
-    """How many bytes the first thing in `data` takes (0: more must come), and what it is."""
+    """Return the length of the first sequence in `data` (0: incomplete), and its event."""
     if data[0] != _ESC:
         return _text(data)
     if len(data) == 1:
@@ -114,7 +115,7 @@ def _next(data: bytes) -> tuple[int, Event | None]:
 
 
 def _text(data: bytes) -> tuple[int, Key | None]:
-    """A control character, or a character in UTF-8."""
+    """Parse a control character, or a character in UTF-8."""
     first = data[0]
     if first in _CONTROLS:
         return 1, Key(_CONTROLS[first])
@@ -130,7 +131,7 @@ def _text(data: bytes) -> tuple[int, Key | None]:
 
 
 def _control_sequence(data: bytes) -> tuple[int, Event | None]:
-    """ESC [, parameters, and a final character that says what it is."""
+    """Parse ESC [, parameters, and a final character that selects the meaning."""
     for at in range(2, len(data)):
         if 0x40 <= data[at] <= 0x7E:
             return at + 1, _meaning(data[2:at].decode("ascii"), chr(data[at]))
@@ -152,7 +153,7 @@ def _meaning(parameters: str, final: str) -> Event | None:
     if kind is None or (modifiers and not modifiers.isdecimal()):
         return None
     if final in _ARROWS:
-        # With whatever modifiers: Shift that is let go first must not hide the release of the arrow.
+        # With any modifiers: a Shift key that is released first must not hide the release of the arrow.
         return Key(_ARROWS[final], kind)
     number = code.partition(":")[0]
     if final != "u" or not number.isdecimal():
@@ -161,7 +162,7 @@ def _meaning(parameters: str, final: str) -> Event | None:
 
 
 def _numbered(number: int, modifiers: int, kind: Kind) -> Key | None:
-    """A key by its number in the kitty protocol, with Shift, Alt and Ctrl as bits."""
+    """Return a key by its number in the kitty protocol, with Shift, Alt and Ctrl as bits."""
     name = _NUMBERED.get(number)
     if name is None:
         if not 0x20 < number < 0xE000:
@@ -175,7 +176,7 @@ def _numbered(number: int, modifiers: int, kind: Kind) -> Key | None:
 
 
 def _shifted_function(data: bytes) -> tuple[int, Event | None]:
-    """ESC O and one character: the arrows of a terminal in application mode."""
+    """Parse ESC O and one character: the arrows of a terminal in application mode."""
     if len(data) == 2:
         return 0, None
     name = _ARROWS.get(chr(data[2]))
@@ -185,7 +186,7 @@ def _shifted_function(data: bytes) -> tuple[int, Event | None]:
 
 
 def _string(data: bytes) -> tuple[int, None]:
-    """An answer that nobody asked for, up to its terminator. It must not be read as keys."""
+    """Skip an unsolicited reply, up to its terminator. It must not be read as keys."""
     for at in range(2, len(data)):
         if data[at] == 0x07:
             return at + 1, None

@@ -1,6 +1,6 @@
-"""What the jog panel does, without a terminal and without a bus: keys, time and answers in, requests out.
+"""The logic of the jog panel, without a terminal and without a bus: keys, time and replies in, requests out.
 
-The one who has it performs the actions that its methods give, in order, and tells it what came of them.
+The session performs the actions that the methods return, in order, and reports their results to the panel.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,14 +10,14 @@ from orchestrator.cli.codes import INTERRUPTED
 from orchestrator.cli.jog.held_key import Grip, Hold
 from orchestrator.cli.jog.keys import Focus, Key
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import Refusal
-from orchestrator.model.report import Lease
+from orchestrator.model.report import LeaseState
 from orchestrator.model.state import AxisState, ControllerState
 
-# A jog is good for 200 ms: two renewals may be lost or late before the axis stops.
+# A jog is valid for 200 ms: two renewals may be lost or late before the axis stops.
 RENEW_NS = 60 * NS_PER_MS
-IDLE_NS = 3 * NS_PER_S  # without motion, until others may have the axis
+IDLE_NS = 3 * NS_PER_S  # without motion, until the lease of the axis is released
 
 FRACTIONS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 FIRST_FRACTION = 0.2
@@ -27,19 +27,19 @@ _DIRECTIONS = {"left": -1, "right": 1}
 
 @dataclass(frozen=True, slots=True)
 class TakeAxis:
-    """Take the lease of an axis; then `taken` or `refused`."""
+    """Acquire the lease of an axis; then `taken` or `refused`."""
 
     axis: str
 
 
 @dataclass(frozen=True, slots=True)
 class GiveBack:
-    """Give the lease back, after what was asked before."""
+    """Release the lease, after all earlier requests."""
 
 
 @dataclass(frozen=True, slots=True)
 class Jog:
-    """Jog at `velocity` (unit/s); then `jogged` or `refused`. hold: which press of a key it belongs to."""
+    """Jog at `velocity` (unit/s); then `jogged` or `refused`. hold: number of the key press that it belongs to."""
 
     axis: str
     velocity: float
@@ -49,22 +49,22 @@ class Jog:
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """Stop what is jogged, at once, whatever else is still to be answered."""
+    """Stop the jogged axis immediately, whatever replies are still missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopFleet:
-    """As `tutti stop`."""
+    """Like `tutti stop`."""
 
 
 @dataclass(frozen=True, slots=True)
 class EstopFleet:
-    """As `tutti estop`."""
+    """Like `tutti estop`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leave:
-    """End with this exit code; what moves is stopped and the lease given back."""
+    """Exit with this code; the motion is stopped and the lease released."""
 
     code: int
 
@@ -74,23 +74,25 @@ Action = TakeAxis | GiveBack | Jog | Halt | StopFleet | EstopFleet | Leave
 
 @dataclass(slots=True)
 class _Motion:
-    """What one press of a key moves."""
+    """The motion of one key press."""
 
     number: int
     axis: str
     direction: int
     asked: bool = False
     begun: bool = False
-    waiting: bool = False  # for the answer to a renewal
+    waiting: bool = False  # for the reply to a renewal
     renew_ns: int = 0
     velocity: float = 0.0
 
 
 @dataclass(slots=True)
 class JogPanel:
-    """The panel. `axes`: those that are shown, `controller.axis`, with their configurations. Instants on one clock, ns.
+    """The panel. Instants on one clock, ns.
 
-    refusal: the last one; note: anything else that people should know. Both stand until the next press.
+    axes: the shown ones, `controller.axis`, with their configurations.
+    refusal: the last one, shown until the next press.
+    note: any other message, shown until the next press.
     """
 
     axes: Mapping[str, Axis]
@@ -99,7 +101,7 @@ class JogPanel:
     chosen: int = 0
     states: dict[str, ControllerState] = field(default_factory=dict[str, ControllerState])
     seen_ns: dict[str, int] = field(default_factory=dict[str, int])
-    leases: dict[str, Lease] = field(default_factory=dict[str, Lease])
+    leases: dict[str, LeaseState] = field(default_factory=dict[str, LeaseState])
     refusal: Refusal | None = None
     note: str = ""
     holder: str | None = None
@@ -115,7 +117,7 @@ class JogPanel:
     def __post_init__(self) -> None:
         self._hold = Hold(self.releases)
 
-    # What is shown
+    # Displayed values
 
     @property
     def axis(self) -> str:
@@ -129,31 +131,31 @@ class JogPanel:
 
     @property
     def direction(self) -> int:
-        """-1, 0 or 1: where the held key moves the chosen axis."""
+        """-1, 0 or 1: the direction in which the held key moves the chosen axis."""
         return self._motion.direction if self._motion else 0
 
     @property
     def leased(self) -> bool:
-        """Whether the chosen axis is in hand."""
+        """Whether the lease of the chosen axis is acquired."""
         return self.axis in self._held
 
     def now(self, axis: str) -> AxisState | None:
-        """What is known of an axis; None when nothing is."""
+        """Return the known state of an axis; None without one."""
         controller, _, name = axis.partition(".")
         state = self.states.get(controller)
         return None if state is None or state.mode == "offline" else state.axes.get(name)
 
     def jog_speed(self, axis: str) -> float:
-        """The largest speed at which the axis may be jogged now, unit/s."""
+        """Return the largest permitted jog speed of the axis now, unit/s."""
         now = self.now(axis)
         return self.axes[axis].jog_speed(now is not None and now.referenced)
 
     def speed(self) -> float:
-        """The speed that a key means now, unit/s."""
+        """The speed of a key press now, unit/s."""
         return self.fraction * self.jog_speed(self.axis)
 
     def held_by(self, axis: str) -> str:
-        """Who may move an axis: "", "you", or somebody in words."""
+        """Describe the holder of an axis: "", "you", or another user or job."""
         controller, _, name = axis.partition(".")
         state = self.states.get(controller)
         holder = state.leases.get(name) if state else None
@@ -166,20 +168,20 @@ class JogPanel:
             return holder
         return f"{lease.actor} ({lease.what})" if lease.what else lease.actor
 
-    # What is heard
+    # Received states
 
     def hear(self, state: ControllerState, now_ns: int) -> None:
-        """A controller's state."""
+        """Store a controller's state."""
         self.states[state.controller], self.seen_ns[state.controller] = state, now_ns
 
-    def hear_lease(self, lease: Lease) -> None:
-        """Who has what."""
+    def hear_lease(self, lease: LeaseState) -> None:
+        """Store a change of a lease."""
         self.leases[f"{lease.controller}/{lease.axis}" if lease.axis else lease.controller] = lease
 
     # Keys and time
 
     def key(self, key: Key, now_ns: int) -> list[Action]:
-        """A key has said something."""
+        """Handle a key event."""
         if key.name in _DIRECTIONS:
             return self._grip(self._hold.take(key, now_ns), now_ns)
         self._hold.alive(now_ns)
@@ -191,14 +193,14 @@ class JogPanel:
         return bound(now_ns)
 
     def focus(self, focus: Focus, now_ns: int) -> list[Action]:
-        """A window without the keyboard hears no release."""
+        """Handle a change of focus: a window without the keyboard receives no release."""
         if focus.on or self._motion is None:
             return []
-        self.note = "stopped, because this window has lost the keyboard"
+        self.note = "stopped, because this window has lost the keyboard focus"
         return self._let_go(now_ns)
 
     def tick(self, now_ns: int) -> list[Action]:
-        """Time has passed."""
+        """Handle the passing of time."""
         actions = self._grip(self._hold.look(now_ns), now_ns)
         motion = self._motion
         if motion is not None and motion.begun and not motion.waiting and now_ns >= motion.renew_ns:
@@ -210,7 +212,7 @@ class JogPanel:
         return actions
 
     def due_ns(self) -> int | None:
-        """When `tick` is wanted next; None: not before something else happens."""
+        """The instant of the next `tick`; None: not before another event."""
         motion = self._motion
         due = [self._hold.until_ns]
         if motion is not None and motion.begun and not motion.waiting:
@@ -219,25 +221,26 @@ class JogPanel:
             due.append(self._idle_since_ns + IDLE_NS)
         return min((each for each in due if each is not None), default=None)
 
-    # Answers
+    # Replies
 
     def taken(self, axes: list[str], holder: str, now_ns: int) -> list[Action]:
-        """The lease is here."""
+        """Note that the lease was acquired."""
         self._taking, self._held, self.holder, self._idle_since_ns = False, frozenset(axes), holder, now_ns
         return self._begin(now_ns)
 
     def not_taken(self, refusal: Refusal) -> None:
-        """The lease was refused."""
+        """Note that the lease was refused."""
         self._taking = False
         self.lost(refusal)
 
     def lost(self, refusal: Refusal) -> None:
-        """The lease has ended, and what it moved was stopped. Taken again only when a key is pressed anew."""
+        """Note that the lease has ended, and that its motion was stopped. It is acquired again only at the next key
+        press."""
         self._held, self.holder = frozenset(), None
         self._block(refusal)
 
     def answered(self, jog: Jog, refusal: Refusal | None, now_ns: int) -> list[Action]:
-        """What came of a jog. An answer to an earlier press says nothing of this one."""
+        """Handle the reply to a jog. A reply to an earlier key press is ignored."""
         motion = self._motion
         if motion is None or motion.number != jog.hold:
             return []
@@ -249,11 +252,12 @@ class JogPanel:
         return self.tick(now_ns)
 
     def not_halted(self, refusal: Refusal) -> None:
-        """A stop was not accepted: silence stops the axis. The refusal that was first says more."""
+        """Note that a stop was refused: without renewals the axis stops anyway. An earlier refusal has priority,
+        because it explains more."""
         self.refusal = self.refusal or refusal
 
     def told(self, note: str) -> None:
-        """What came of stopping the fleet."""
+        """Show the result of stopping the fleet."""
         self.note = note
 
     # Inside
@@ -279,14 +283,14 @@ class JogPanel:
         return keys
 
     def _grip(self, grip: Grip | None, now_ns: int) -> list[Action]:
-        """What the held key means."""
+        """Handle a change of the held key."""
         if grip is Grip.BEGIN:
             self._blocked, self.refusal, self.note = False, None, ""
             return [*self._end(now_ns), *self._press(now_ns)]
         if grip is Grip.GO_ON:
             return [] if self._blocked else self._press(now_ns)
         if grip is Grip.SILENT and self._motion is not None:
-            self.note = "stopped, because the terminal says nothing more of the key: press it again"
+            self.note = "stopped, because the terminal sends no more events of the key: press it again"
         return self._end(now_ns) if grip is not None else []
 
     def _press(self, now_ns: int) -> list[Action]:
@@ -302,12 +306,12 @@ class JogPanel:
         return [*back, TakeAxis(self.axis)]
 
     def _begin(self, now_ns: int) -> list[Action]:
-        """Set in motion what the held key wants, now that its axis is in hand."""
+        """Start the motion of the held key, now that its axis is acquired."""
         motion = self._motion
         if motion is None or motion.asked:
             return []
         if motion.axis not in self._held:
-            # Another axis was chosen while the lease was on its way.
+            # Another axis was chosen while the lease was being acquired.
             self._taking = True
             return [*self._give_back(), TakeAxis(motion.axis)]
         motion.asked, motion.velocity = True, motion.direction * self.speed()
@@ -315,19 +319,19 @@ class JogPanel:
         return [Jog(motion.axis, motion.velocity, False, motion.number)]
 
     def _end(self, now_ns: int) -> list[Action]:
-        """End what a key moves."""
+        """End the motion of a key."""
         motion, self._motion = self._motion, None
         self._idle_since_ns = now_ns
         return [Halt()] if motion is not None and motion.asked else []
 
     def _let_go(self, now_ns: int) -> list[Action]:
-        """Stop, and wait for a key to be pressed anew."""
+        """Stop, and ignore the held key until the next press."""
         self._hold.drop()
         self._blocked = True
         return self._end(now_ns)
 
     def _block(self, refusal: Refusal) -> None:
-        """Something was refused: nothing moves until a key is pressed anew."""
+        """Show a refusal: nothing moves until the next key press."""
         self._motion, self._blocked, self.refusal = None, True, refusal
         self._hold.drop()
 
@@ -348,5 +352,5 @@ class JogPanel:
         return self.tick(now_ns)
 
     def _no_background(self, now_ns: int) -> list[Action]:
-        self.note = "the panel can not be put into the background: a held key would not be heard; q leaves"
+        self.note = "the panel cannot run in the background, where key releases are not received; q exits"
         return self._let_go(now_ns)

@@ -1,4 +1,4 @@
-"""The jog panel as it looks, at 80 columns or more."""
+"""The display of the jog panel, at 80 columns or more."""
 
 from fractions import Fraction
 
@@ -13,18 +13,18 @@ from orchestrator.model.fleet import Axis
 from orchestrator.model.state import AxisState
 from orchestrator.model.units import parse_quantity
 
-STALE_NS = 2 * NS_PER_S  # without a word of a controller that speaks several times a second
+STALE_NS = 2 * NS_PER_S  # without a state of a controller that publishes several per second
 WIDE = 100  # columns from which there is room for wider gaps
-# So that columns do not wander while figures grow.
+# Minimum widths, so that columns do not shift while figures grow.
 _LEAST = {"position>": 12, "velocity>": 10, "− room>": 6, "+ room>": 6}
-BESIDE = 13  # lines of the screen that are neither rows of axes nor troubles
+BESIDE = 13  # lines of the screen that are neither rows of axes nor messages
 
 _LIMITS = {"none": "", "reverse": "− end", "forward": "+ end", "both": "both"}
 _ARROWS = {-1: "◀◀◀", 0: " ■ ", 1: "▶▶▶"}
 
 
 def screen(panel: JogPanel, now_ns: int, columns: int, rows: int) -> RenderableType:
-    """The whole panel for a terminal of this size."""
+    """Render the whole panel for a terminal of this size."""
     troubles = _troubles(panel, now_ns)
     beside = BESIDE + sum(-(-len(text) // columns) for text in troubles)
     axes = _axes(panel, now_ns, columns, max(1, rows - beside))
@@ -35,15 +35,15 @@ def _head(panel: JogPanel) -> RenderableType:
     grid = Table.grid(expand=True)
     grid.add_column(no_wrap=True)
     grid.add_column(justify="right", no_wrap=True)
-    lease = ("in hand", "bold cyan") if panel.leased else ("not in hand", "dim")
+    lease = ("acquired", "bold cyan") if panel.leased else ("not acquired", "dim")
     grid.add_row(
-        Text.assemble(("Jog by hand", "bold"), f"   fleet {panel.fleet}"), Text.assemble(f"{panel.axis}: ", lease)
+        Text.assemble(("Manual jog", "bold"), f"   fleet {panel.fleet}"), Text.assemble(f"{panel.axis}: ", lease)
     )
     return grid
 
 
 def _axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table:
-    """One row an axis; as many as there is room for, around the chosen one."""
+    """Build one row per axis; as many as fit, around the chosen one."""
     gap = 2 if columns >= WIDE else 1
     table = Table(box=None, header_style="bold underline", pad_edge=False, padding=(0, gap, 0, 0), expand=True)
     for name in ("", "axis", "position>", "velocity>", "motor", "ref.", "limit", "− room>", "+ room>"):
@@ -81,7 +81,8 @@ def _row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
 
 
 def _room(axis: Axis, now: AxisState) -> tuple[str, str]:
-    """How far it is to the soft limits, which are motor positions; unknown while the axis does not know where it is."""
+    """Return the distances to the soft limits, which are motor positions; unknown for an axis that is not
+    referenced."""
     if axis.soft_limits is None:
         return "∞", "∞"
     if not now.referenced:
@@ -92,12 +93,12 @@ def _room(axis: Axis, now: AxisState) -> tuple[str, str]:
 
 
 def _short(value: float) -> str:
-    """Four figures are enough to see what is left."""
+    """Format with four figures, which is enough to see the remaining distance."""
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def _motion(panel: JogPanel) -> RenderableType:
-    """What a key means now, and what it does."""
+    """Describe the speed of a key press, and the current motion."""
     axis, now = panel.axes[panel.axis], panel.now(panel.axis)
     most = panel.jog_speed(panel.axis)
     why = "" if now is None or now.referenced else ", slow: unreferenced"
@@ -126,7 +127,7 @@ def _motion(panel: JogPanel) -> RenderableType:
 
 
 def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
-    """What keeps axes from moving, and what was refused last."""
+    """List the reasons why axes are not ready, and the last refusal."""
     lines: list[Text] = []
     for controller in dict.fromkeys(name.partition(".")[0] for name in panel.axes):
         state = panel.states.get(controller)
@@ -139,7 +140,7 @@ def _troubles(panel: JogPanel, now_ns: int) -> list[Text]:
         lines += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
         if _stale(panel, controller, now_ns):
             lines.append(
-                Text(f"{controller}: nothing heard for {_silent_s(panel, controller, now_ns):.0f} s", style="red")
+                Text(f"{controller}: no state received for {_silent_s(panel, controller, now_ns):.0f} s", style="red")
             )
     if panel.refusal is not None:
         remedy = f" → {panel.refusal.remedy}" if panel.refusal.remedy else ""
@@ -175,11 +176,11 @@ def _keys() -> RenderableType:
 def _release(releases: bool) -> RenderableType:
     if releases:
         silent = f"{SILENT_NS / NS_PER_S:g} s"
-        text = f"Releases are reported: the axis slows down when you let go, or after {silent} without repeats."
+        text = f"Releases are reported: the axis slows down on release, or after {silent} without repeats."
     else:
         text = (
             "Tap, or hold: this terminal reports no releases. The axis slows down within "
-            f"{WAIT_NS / NS_PER_MS:g} ms after you let go, a tap after {TAP_NS / NS_PER_MS:g} ms."
+            f"{WAIT_NS / NS_PER_MS:g} ms after a release, a tap after {TAP_NS / NS_PER_MS:g} ms."
         )
-    idle = f"After {IDLE_NS / NS_PER_S:g} s at rest others may have it."
+    idle = f"The axis is released after {IDLE_NS / NS_PER_S:g} s at rest."
     return Text(f"{text} {idle}", style="dim")

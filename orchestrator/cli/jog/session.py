@@ -1,4 +1,4 @@
-"""The jog panel at work: keys from the terminal, states from the bus, requests to the bus, ten pictures a second."""
+"""The running jog panel: keys from the terminal, states from the bus, requests to the bus, ten screens per second."""
 
 import asyncio
 import contextlib
@@ -13,20 +13,20 @@ from orchestrator.cli.jog.keys import Event, Focus, Key
 from orchestrator.cli.jog.panel import Action, EstopFleet, GiveBack, Halt, Jog, JogPanel, StopFleet, TakeAxis
 from orchestrator.cli.jog.screen import screen
 from orchestrator.cli.jog.terminal import ESCAPE_S, Terminal
-from orchestrator.client import Refused, Tutti
-from orchestrator.client.manual import Hand
+from orchestrator.client import Refusal, Tutti
+from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.live import raw_ns
-from orchestrator.model.report import Lease
+from orchestrator.model.report import LeaseState
 from orchestrator.model.state import ControllerState
 
 REFRESH_S = 0.1
-LEASES_S = 1.0  # for hearing who holds what already
-LEAVE_S = 2.0  # for stopping and giving back; what can not be asked by then has stopped by itself
+LEASES_S = 1.0  # for receiving the existing leases
+LEAVE_S = 2.0  # for stopping and releasing; an axis whose stop request fails has stopped by itself by then
 
 
 class JogSession:
-    """Runs `panel` while the context lasts. `ended` gets the exit code, or what went wrong."""
+    """Runs `panel` while the context is open. `ended` gets the exit code, or the error."""
 
     def __init__(self, tutti: Tutti, panel: JogPanel, terminal: Terminal, ended: "asyncio.Future[int]") -> None:
         self._tutti = tutti
@@ -34,8 +34,8 @@ class JogSession:
         self._terminal = terminal
         self._ended = ended
         self._loop = asyncio.get_running_loop()
-        self._hand: Hand | None = None
-        self._leasing: asyncio.Queue[str | Hand | None] = asyncio.Queue()
+        self._hand: ManualControl | None = None
+        self._leasing: asyncio.Queue[str | ManualControl | None] = asyncio.Queue()
         self._leaving = False
         self._endless: list[asyncio.Task[None]] = []
         self._requests: set[asyncio.Task[None]] = set()
@@ -60,7 +60,7 @@ class JogSession:
         self._leasing.put_nowait(None)
         await asyncio.wait(self._requests, timeout=LEAVE_S)
 
-    # In
+    # Input
 
     def _readable(self) -> None:
         if self._escape is not None:
@@ -83,7 +83,7 @@ class JogSession:
 
     async def _listen(self) -> None:
         keys = self._tutti.keys
-        async with self._tutti.samples(keys.state(), keys.leases) as samples:
+        async with self._tutti.subscribe_samples(keys.state(), keys.leases) as samples:
             for state in (await self._tutti.status()).values():
                 self._panel.hear(state, raw_ns())
             for payload in (await self._tutti.bus.request_all(keys.leases, b"", LEASES_S)).values():
@@ -92,14 +92,14 @@ class JogSession:
                 self._hear(await samples.get())
 
     def _hear(self, sample: Sample) -> None:
-        # Whoever speaks another version is not shown; its axes go silent.
+        # A controller with another protocol version is not shown; its axes show no state.
         with contextlib.suppress(ValidationError):
             if sample.key.endswith("/state"):
                 self._panel.hear(ControllerState.model_validate_json(sample.payload), raw_ns())
             else:
-                self._panel.hear_lease(Lease.model_validate_json(sample.payload))
+                self._panel.hear_lease(LeaseState.model_validate_json(sample.payload))
 
-    # Out
+    # Output
 
     async def _draw(self) -> None:
         while True:
@@ -110,7 +110,7 @@ class JogSession:
                 self._see(self._hand)
 
     def _perform(self, actions: list[Action]) -> None:
-        """Do what the panel wants, in order, and look again when it wants to."""
+        """Perform the actions of the panel in order, and schedule its next tick."""
         if self._leaving:
             return
         for action in actions:
@@ -144,19 +144,20 @@ class JogSession:
             self._hand = None
 
     async def _lease(self) -> None:
-        """Take and give back one after the other: what was given back first can be taken again. None ends it."""
+        """Acquire and release leases one after the other: an axis can be acquired again only after its release. None
+        ends the loop."""
         while (wanted := await self._leasing.get()) is not None:
-            if isinstance(wanted, Hand):
-                await wanted.give_back()
+            if isinstance(wanted, ManualControl):
+                await wanted.release()
                 continue
-            hand = self._tutti.by_hand([wanted], what="jog panel")
+            hand = self._tutti.manual_control([wanted], what="jog panel")
             try:
-                await hand.take()
-            except Refused as error:
-                self._panel.not_taken(error.refusal)
+                await hand.acquire()
+            except Refusal as error:
+                self._panel.not_taken(error)
                 continue
             if self._leaving:
-                await hand.give_back()
+                await hand.release()
                 continue
             self._hand = hand
             self._perform(self._panel.taken(hand.axes, hand.holder, raw_ns()))
@@ -166,14 +167,14 @@ class JogSession:
         if hand is None:
             return
         try:
-            await (hand.renew if jog.renew else hand.jog)({jog.axis: jog.velocity})
-        except Refused as error:
-            refusal = error.refusal
+            await (hand.renew_jog if jog.renew else hand.jog)({jog.axis: jog.velocity})
+        except Refusal as error:
+            refusal = error
         self._see(hand)
         self._perform(self._panel.answered(jog, refusal, raw_ns()))
 
-    def _see(self, hand: Hand) -> None:
-        """Look whether the lease has ended early."""
+    def _see(self, hand: ManualControl) -> None:
+        """Check whether the lease has ended early."""
         if hand is self._hand and hand.lost is not None:
             self._panel.lost(hand.lost)
             self._give_back()
@@ -182,8 +183,8 @@ class JogSession:
         if self._hand is not None:
             try:
                 await self._hand.stop()
-            except Refused as error:
-                self._panel.not_halted(error.refusal)
+            except Refusal as error:
+                self._panel.not_halted(error)
 
     async def _stop_fleet(self) -> None:
         answers = await self._tutti.stop()
@@ -194,14 +195,14 @@ class JogSession:
         latched = await self._tutti.estop("at the jog panel")
         wrong = [controller for controller, done in latched.items() if not done]
         if wrong or not latched:
-            self._panel.told(f"NOT LATCHED: {', '.join(wrong) or 'nobody answers'}; use the wired one")
+            self._panel.told(f"NOT LATCHED: {', '.join(wrong) or 'no controller answers'}; use the wired e-stop")
         else:
             self._panel.told(f"e-stop latched: {', '.join(latched)}")
 
     # Tasks
 
     def _ask(self, work: Coroutine[Any, Any, None]) -> None:
-        """Something that ends by itself, and is waited for when the panel is left."""
+        """Run a request that ends by itself; the panel waits for it on exit."""
         task = self._watched(work)
         self._requests.add(task)
         task.add_done_callback(self._requests.discard)
@@ -212,7 +213,7 @@ class JogSession:
         return task
 
     def _failed(self, task: "asyncio.Task[None]") -> None:
-        """A defect ends the panel; nobody jogs without seeing."""
+        """End the panel at a defect: no jog without a display."""
         if not task.cancelled() and (error := task.exception()) is not None and not self._ended.done():
             self._ended.set_exception(error)
 

@@ -1,4 +1,4 @@
-"""A terminal for a panel: every key as it comes, a screen of its own, and afterwards everything as it was."""
+"""A terminal in raw mode for a panel: single key events, an alternate screen, and a complete restoration afterwards."""
 
 import contextlib
 import io
@@ -15,24 +15,24 @@ from rich.console import Console, RenderableType
 
 from orchestrator.cli.jog.keys import DeviceAttributes, Event, KeyboardFlags, KeyParser
 
-# How long a terminal may take to answer; one behind a slow connection takes a while, and only that waits.
+# Time limit for a terminal's reply; over a slow connection a reply takes a while, and only such a terminal waits.
 ANSWER_S = 1.0
-ESCAPE_S = 0.05  # the bytes of one key come together: after so long an ESC was the Escape key
+ESCAPE_S = 0.05  # the bytes of one key arrive together: after this time an ESC was the Escape key
 
 _ALTERNATE, _MAIN = "\x1b[?1049h", "\x1b[?1049l"
 _HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
 _TELL_FOCUS, _NO_FOCUS = "\x1b[?1004h", "\x1b[?1004l"
 _HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
-# The kitty keyboard protocol: 1 tells keys apart that look alike, 2 reports repeats and releases.
+# The kitty keyboard protocol: 1 distinguishes keys that look alike, 2 reports repeats and releases.
 _ASK_KEYBOARD, _ASK_DEVICE = "\x1b[?u", "\x1b[c"
 _RELEASES = 2
 _PUSH_KEYBOARD, _POP_KEYBOARD = f"\x1b[>{1 | _RELEASES}u", "\x1b[<u"
 
 
 class Terminal:
-    """The terminal on two descriptors, taken while the context lasts. Restored in every case but `kill -9`.
+    """The terminal on two descriptors, in raw mode while the context is open. Restored in every case but `kill -9`.
 
-    releases: it reports when a key is let go. Once it is gone (hung up), `read` gives None and writing does nothing.
+    releases: it reports key releases. Once it is hung up, `read` returns None and writing does nothing.
     """
 
     def __init__(self, fd_in: int, fd_out: int) -> None:
@@ -49,11 +49,11 @@ class Terminal:
             before = termios.tcgetattr(self.fd_in)
             restore.callback(self._set, before)
             tty.setraw(self.fd_in)
-            # A held key is not heard in the background.
+            # Key events are not received in the background.
             restore.callback(signal.signal, signal.SIGTSTP, signal.signal(signal.SIGTSTP, signal.SIG_IGN))
             restore.callback(self.write, _SHOW + _MAIN)
             self.write(_ALTERNATE + _HIDE + _TELL_FOCUS)
-            # Before the screen is left: main and alternate screen have keyboards of their own.
+            # Before leaving the alternate screen: main and alternate screen have separate keyboard modes.
             restore.callback(self.write, _NO_FOCUS)
             if self._asked("") is not None:
                 restore.callback(self.write, _POP_KEYBOARD)
@@ -65,10 +65,10 @@ class Terminal:
     def __exit__(self, *_: object) -> None:
         self._restore.close()
 
-    # In
+    # Input
 
     def read(self) -> list[Event] | None:
-        """What has come; None when the terminal is gone."""
+        """Return the received events; None when the terminal is hung up."""
         try:
             data = os.read(self.fd_in, 4096)
         except OSError:
@@ -77,17 +77,17 @@ class Terminal:
 
     @property
     def waiting(self) -> bool:
-        """Whether a sequence has begun: call `expire` after `ESCAPE_S` without more."""
+        """Whether a sequence is incomplete: call `expire` after `ESCAPE_S` without more bytes."""
         return self._parser.waiting
 
     def expire(self) -> list[Event]:
-        """What has begun is no sequence."""
+        """Treat the incomplete sequence as finished."""
         return self._parser.expire()
 
-    # Out
+    # Output
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows now."""
+        """Current number of columns and rows."""
         try:
             columns, rows = os.get_terminal_size(self._fd_out)
         except OSError:
@@ -95,7 +95,7 @@ class Terminal:
         return columns or 80, rows or 24
 
     def show(self, image: RenderableType) -> None:
-        """Fill the screen; what is too long or too wide is cut off."""
+        """Fill the screen; content that is too long or too wide is cut off."""
         columns, rows = self.size()
         self._image.seek(0)
         self._image.truncate()
@@ -104,7 +104,7 @@ class Terminal:
         self.write(_HOME + f"{_REST_OF_LINE}\r\n".join(lines) + _REST_OF_LINE + _REST_OF_SCREEN)
 
     def write(self, text: str) -> None:
-        """Write all of it, or nothing when the terminal is gone."""
+        """Write all of it, or nothing when the terminal is hung up."""
         data = text.encode()
         with contextlib.suppress(OSError):
             while data:
@@ -117,7 +117,8 @@ class Terminal:
             termios.tcsetattr(self.fd_in, termios.TCSAFLUSH, mode)
 
     def _asked(self, first: str) -> int | None:
-        """Flags of the keyboard protocol after `first`; None where the terminal answers, but not for that, or never."""
+        """Query the flags of the keyboard protocol after writing `first`; None where the terminal does not support
+        it, or never replies."""
         self.write(first + _ASK_KEYBOARD + _ASK_DEVICE)
         flags: int | None = None
         give_up_s = time.monotonic() + ANSWER_S

@@ -1,8 +1,8 @@
-"""Axes in people's hands: leases that run out when nobody renews them.
+"""Manual control: leases for operators, which expire unless renewed.
 
-Most end when a permit is lost. What somebody has reserved for work at the machine does not: who opens the door to work
-there must not find a job moving when it is closed. It is in the journal, and stands when a coordinator starts anew;
-only the right to move is gone then.
+Most end when a permit is lost. A reservation for work at the machine does not: an operator that opens a door to work
+inside must not find a job moving when the door is closed. Reservations are in the journal and survive a restart of
+the coordinator; only the right to move ends then.
 """
 
 import asyncio
@@ -10,117 +10,106 @@ from collections.abc import Coroutine
 from datetime import timedelta
 from typing import Any
 
-from orchestrator.bus.log import Log
-from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.clock.executor import Runs
-from orchestrator.coordinator.fleet.leases import Held, LeaseBook
-from orchestrator.coordinator.fleet.permits import Guard, Permits
-from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.steps import expand
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry
+from orchestrator.coordinator.fleet.permits import PermitWatch
+from orchestrator.coordinator.jobs.steps import expand_axes
 from orchestrator.coordinator.journal.journal import Journal, JournalError
-from orchestrator.coordinator.motion.targets import Refuse
+from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
-from orchestrator.model.service import Take, Taken
+from orchestrator.model.service import AcquireAxes, AxesAcquired
 
 
-class Hands:
-    """Gives axes to people, and takes them back when they may not be moved any more."""
+class ManualLeases:
+    """Grants axes for manual control, and ends the right to move them when it may no longer be used."""
 
-    def __init__(
-        self,
-        view: FleetView,
-        leases: LeaseBook,
-        permits: Permits,
-        clock: Clock,
-        journal: Journal,
-        runs: Runs,
-        log: Log,
-    ) -> None:
-        self._view = view
+    def __init__(self, fleet: FleetAccess, leases: LeaseRegistry, journal: Journal, execute: Executor) -> None:
+        self._fleet = fleet
         self._leases = leases
-        self._permits = permits
-        self._clock = clock
         self._journal = journal
-        self._runs = runs
-        self._log = log
-        self._guards: dict[str, Guard] = {}
+        self._execute = execute
+        self._guards: dict[str, PermitWatch] = {}
         self._reserved: set[str] = set()
         self._lost = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def start(self) -> None:
-        """Go on with what is reserved. Raises `JournalError`."""
-        now, now_ns = parse_utc(self._clock.utc()), self._clock.now_ns()
-        for each in await self._runs(self._journal.reserved):
+        """Restore reservations. Raises `JournalError`."""
+        now, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
+        for each in await self._execute(self._journal.list_reservations):
             left_s = (parse_utc(each.until_utc) - now).total_seconds()
-            axes = tuple(axis for axis in each.axes if axis in self._view.fleet.axis_names)
+            axes = tuple(axis for axis in each.axes if axis in self._fleet.view.fleet.axis_names)
             if left_s <= 0 or not axes:
-                await self._runs(self._journal.unreserve, each.holder)
+                await self._execute(self._journal.delete_reservation, each.holder)
                 continue
             self._reserved.add(each.holder)
             until_ns = now_ns + round(left_s * NS_PER_S)
-            self._leases.restore(Held(each.holder, each.actor, each.what, axes, until_ns))
-        self._permits.listen(self._lost.set)
-        self._leases.listen(self._given_back)
-        self._spawn(self._watch())
+            self._leases.restore_reservation(LeaseHold(each.holder, each.actor, each.what, axes, until_ns))
+        self._fleet.permits.add_loss_listener(self._lost.set)
+        self._leases.add_release_listener(self._on_release)
+        self._spawn(self._watch_permits())
 
     def close(self) -> None:
         for task in self._tasks:
             task.cancel()
 
-    async def take(self, request: Take) -> Taken:
-        """Take axes in hand, or go on holding them. Raises `Refuse`, `UnknownName`, `JournalError`."""
-        axes = expand(self._view.fleet, request.axes)
-        missing = self._permits.missing(axes)
+    async def acquire(self, request: AcquireAxes) -> AxesAcquired:
+        """Acquire axes for manual control, or renew the lease. Raises `Refusal`, `UnknownName`, `JournalError`."""
+        axes = expand_axes(self._fleet.view.fleet, request.axes)
+        missing = self._fleet.permits.find_missing(axes)
         if missing is not None and not request.reserve:
-            raise Refuse("permit", missing, "bring it about, then take them again")
+            raise Refusal("permit", missing, "satisfy the permit, then acquire the axes again")
         ttl_ns = round(request.ttl_s * NS_PER_S)
         idle = missing is not None
-        held = await self._leases.take(request.holder, request.actor, request.what, axes, ttl_ns, idle=idle)
+        held = await self._leases.acquire(request.holder, request.actor, request.what, axes, ttl_ns, idle=idle)
         if request.reserve:
-            await self._reserve(request, held)
+            await self._record_reservation(request, held)
         if request.holder not in self._guards:
-            self._guards[request.holder] = self._permits.guard(axes)
-        return Taken(axes=list(held), may_move=self._leases.may_move(request.holder))
+            self._guards[request.holder] = self._fleet.permits.watch_losses(axes)
+        return AxesAcquired(axes=list(held), may_move=self._leases.may_move(request.holder))
 
-    async def _reserve(self, request: Take, axes: tuple[str, ...]) -> None:
-        until = parse_utc(self._clock.utc()) + timedelta(seconds=request.ttl_s)
+    async def _record_reservation(self, request: AcquireAxes, axes: tuple[str, ...]) -> None:
+        until = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
         values = (request.holder, request.actor, request.what, axes, format_utc(until))
         self._reserved.add(request.holder)
         try:
-            await self._runs(self._journal.reserve, *values)
+            await self._execute(self._journal.store_reservation, *values)
         except JournalError:
-            await self._leases.give_back(request.holder)
+            await self._leases.release(request.holder)
             raise
 
-    def _given_back(self, holder: str) -> None:
+    def _on_release(self, holder: str) -> None:
         self._guards.pop(holder, None)
         if holder in self._reserved:
             self._reserved.discard(holder)
-            self._spawn(self._unreserve(holder))
+            self._spawn(self._delete_reservation(holder))
 
-    async def _unreserve(self, holder: str) -> None:
+    async def _delete_reservation(self, holder: str) -> None:
         try:
-            await self._runs(self._journal.unreserve, holder)
+            await self._execute(self._journal.delete_reservation, holder)
         except JournalError as error:
-            self._log.warning(f"what {holder} gave back is reserved again after a restart: {error}", holder=holder)
+            self._fleet.log.warning(
+                f"the reservation that {holder} released will be back after a restart: {error}", holder=holder
+            )
 
-    async def _watch(self) -> None:
+    async def _watch_permits(self) -> None:
         while True:
             await self._lost.wait()
             self._lost.clear()
-            holders = {held.holder for held in self._leases.held}
+            holders = {held.holder for held in self._leases.all_leases}
             self._guards = {holder: guard for holder, guard in self._guards.items() if holder in holders}
-            ends = {holder: why for holder, guard in self._guards.items() if (why := guard.lost()) is not None}
+            ends = {holder: why for holder, guard in self._guards.items() if (why := guard.describe_loss()) is not None}
             for holder in ends:
                 del self._guards[holder]
-            await asyncio.gather(*(self._end(holder, why) for holder, why in ends.items()))
+            await asyncio.gather(*(self._end_lease(holder, why) for holder, why in ends.items()))
 
-    async def _end(self, holder: str, why: str) -> None:
+    async def _end_lease(self, holder: str, why: str) -> None:
         if holder in self._reserved:
-            await self._leases.suspend(holder, why)
+            await self._leases.suspend_motion(holder, why)
         else:
-            await self._leases.give_back(holder, why)
+            await self._leases.release(holder, why)
 
     def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(coroutine)

@@ -1,4 +1,5 @@
-"""Permits: conditions that must hold, and have held for a while, before axes move; their loss stops what moves."""
+"""Permits: conditions that must hold, and must have held for a settling time, before axes move; their loss stops
+motion."""
 
 from collections.abc import Callable, Iterable
 
@@ -9,8 +10,8 @@ from orchestrator.model.fleet import Permit
 from orchestrator.model.state import ControllerState
 
 
-class Permits:
-    """Follows the permits of the fleet file with every state that comes in."""
+class PermitMonitor:
+    """Evaluates the permits of the fleet file with every state that arrives."""
 
     def __init__(self, view: FleetView, clock: Clock) -> None:
         self._view = view
@@ -18,17 +19,17 @@ class Permits:
         self._since_ns: dict[str, int | None] = {}
         self._losses: dict[str, int] = {}
         self._listeners: list[Callable[[], None]] = []
-        view.listen_states(self._see)
+        view.add_state_listener(self._take_state)
 
-    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` when a permit is lost; the result ends that."""
+    def add_loss_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call `listener` when a permit is lost; the result removes the listener."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
-    def missing(self, axes: Iterable[str]) -> str | None:
-        """The first permit of `axes` that does not hold, or not for long enough yet, in words."""
+    def find_missing(self, axes: Iterable[str]) -> str | None:
+        """The first permit of `axes` that does not hold, or has not settled yet, in words."""
         for name, permit in self._view.fleet.permits_of(axes).items():
-            words = self._broken(name, permit)
+            words = self._describe_broken(name, permit)
             if words is not None:
                 return f"permit {name} does not hold: {words}"
             since_ns = self._since_ns.get(name)
@@ -37,39 +38,39 @@ class Permits:
                 return f"permit {name}: held for {format_ns(held_ns)}; it must settle for {format_ns(permit.settle)}"
         return None
 
-    def guard(self, axes: Iterable[str]) -> "Guard":
-        """Remembers how often the permits of `axes` have been lost so far, to notice the next time."""
-        return Guard(self, tuple(axes), self.losses(axes))
+    def watch_losses(self, axes: Iterable[str]) -> "PermitWatch":
+        """Watch the permits of `axes` for losses from now on."""
+        return PermitWatch(self, tuple(axes), self.count_losses(axes))
 
-    def losses(self, axes: Iterable[str]) -> int:
-        """How often permits of `axes` have been lost since the start: one that flickers counts too."""
+    def count_losses(self, axes: Iterable[str]) -> int:
+        """The number of times that permits of `axes` have been lost since the start; a flicker counts too."""
         return sum(self._losses.get(name, 0) for name in self._view.fleet.permits_of(axes))
 
-    def broken(self, axes: Iterable[str]) -> str | None:
+    def find_broken(self, axes: Iterable[str]) -> str | None:
         """The first permit of `axes` that does not hold now, in words."""
         for name, permit in self._view.fleet.permits_of(axes).items():
-            words = self._broken(name, permit)
+            words = self._describe_broken(name, permit)
             if words is not None:
                 return f"permit {name} is lost: {words}"
         return None
 
-    def _broken(self, name: str, permit: Permit) -> str | None:
+    def _describe_broken(self, name: str, permit: Permit) -> str | None:
         controller, _, point = permit.input.partition(".")
-        state = self._view.state(controller)
-        known = state is not None and not self._view.silent(controller) and state.mode != "offline"
+        state = self._view.last_state(controller)
+        known = state is not None and not self._view.is_silent(controller) and state.mode != "offline"
         if known and state is not None and state.inputs.get(point) == permit.value:
             return None
         if not known:
-            return f"nothing is heard of input {permit.input}"
+            return f"input {permit.input} is unknown: its controller is silent"
         return f"input {permit.input} is {'inactive' if permit.value else 'active'}"
 
-    def _see(self, state: ControllerState) -> None:
+    def _take_state(self, state: ControllerState) -> None:
         lost = False
         for name, permit in self._view.fleet.permits.items():
             if permit.input.partition(".")[0] != state.controller:
                 continue
             held = self._since_ns.get(name) is not None
-            holds = self._broken(name, permit) is None
+            holds = self._describe_broken(name, permit) is None
             if holds and not held:
                 self._since_ns[name] = self._clock.now_ns()
             elif held and not holds:
@@ -81,19 +82,19 @@ class Permits:
                 listener()
 
 
-class Guard:
-    """Says whether permits have been lost since it was made."""
+class PermitWatch:
+    """Reports whether permits have been lost since it was made."""
 
-    def __init__(self, permits: Permits, axes: tuple[str, ...], losses: int) -> None:
+    def __init__(self, permits: PermitMonitor, axes: tuple[str, ...], losses: int) -> None:
         self._permits = permits
         self._axes = axes
         self._losses = losses
 
-    def lost(self) -> str | None:
-        """In words what was lost, also if it is back already; None while all held."""
-        broken = self._permits.broken(self._axes)
+    def describe_loss(self) -> str | None:
+        """A description of what was lost, also if it holds again; None if all have held."""
+        broken = self._permits.find_broken(self._axes)
         if broken is not None:
             return broken
-        if self._permits.losses(self._axes) != self._losses:
+        if self._permits.count_losses(self._axes) != self._losses:
             return "a permit was lost for a moment"
         return None

@@ -1,49 +1,46 @@
-"""Finding references: axes in their order, side by side where nothing forbids it, and none after one that failed."""
+"""Homing: axes in their order, in parallel where nothing forbids it, and none after one that failed."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from orchestrator.coordinator.fleet.permits import Permits
-from orchestrator.coordinator.fleet.requests import Members
-from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.motion.targets import Refuse
-from orchestrator.model.fleet import Fleet, by_controller
-from orchestrator.model.messages import HomeReply, HomeRequest, Refusal, StopMode
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet, group_by_controller
+from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
 from orchestrator.plan.step import Targets
 
 ANSWER_S = 3.0
-LOOK_S = 0.05
+POLL_S = 0.05
 
-StopMembers = Callable[[list[str], StopMode, str, str], Awaitable[None]]
-Progress = Callable[[float, str], None]
-"""Told the part that is done, 0 to 1, and what is being done."""
+ProgressCallback = Callable[[float, str], None]
+"""Receives the fraction that is done, 0 to 1, and what is being done."""
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """entries: axes homed side by side, each entry after all before it. loners: axes that no order names, each by
-    itself after the entries, whether the one before it has found its reference or not."""
+class HomingOrder:
+    """entries: axes homed in parallel, each entry after all entries before it. loners: axes without an order, homed
+    one by one after the entries, whether the one before has succeeded or not."""
 
     entries: list[list[str]]
     loners: list[str]
 
 
-def homing_order(fleet: Fleet, axes: list[str] | None) -> Order:
-    """Those asked for, in their order; else the fleet's `home_order`, and then all that do not stand in it."""
+def homing_order(fleet: Fleet, axes: list[str] | None) -> HomingOrder:
+    """The given axes in the given order; else the fleet's `home_order`, followed by all axes that are not in it."""
     seen, entries = set[str](), list[list[str]]()
     for entry in fleet.home_order if axes is None else axes:
-        fresh = [axis for axis in fleet.expand(entry) if axis not in seen]
+        fresh = [axis for axis in fleet.expand_name(entry) if axis not in seen]
         seen.update(fresh)
         if fresh:
             entries.append(fresh)
-    return Order(entries, [axis for axis in fleet.axis_names if axis not in seen] if axes is None else [])
+    return HomingOrder(entries, [axis for axis in fleet.axis_names if axis not in seen] if axes is None else [])
 
 
-def must_wait_for(fleet: Fleet, order: Order) -> dict[str, set[str]]:
-    """By axis, those that must be referenced before it begins: all earlier entries, and its `homing.after`.
+def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
+    """By axis, the axes that must be referenced before it begins: all earlier entries, and its `homing.after`.
 
-    Raises `Refuse` where the two contradict each other.
+    Raises `Refusal` if the two contradict each other.
     """
     waits: dict[str, set[str]] = {}
     earlier: set[str] = set()
@@ -57,29 +54,29 @@ def must_wait_for(fleet: Fleet, order: Order) -> dict[str, set[str]]:
             del left[axis]
     if left:
         first = min(left)
-        raise Refuse(
+        raise Refusal(
             "homing-order",
-            f"{first} is homed after {', '.join(sorted(left[first] & left.keys()))} (homing.after), which stands "
-            "behind it in the order asked for",
+            f"{first} must be homed after {', '.join(sorted(left[first] & left.keys()))} (homing.after), "
+            "but comes before it in the given order",
             "change the order, or home_order in the fleet file",
         )
     return waits
 
 
 @dataclass(slots=True)
-class _Run:
-    """One homing under way. busy: controllers with axes that look for their reference now."""
+class _HomingRun:
+    """One homing in progress. busy: controllers with axes that are searching for their reference now."""
 
     holder: str
     actor: str
     waits: dict[str, set[str]]
     loners: list[str]
     homed: list[str] = field(default_factory=list[str])
-    failed: dict[str, Refusal] = field(default_factory=dict[str, Refusal])
+    failed: dict[str, RefusalDetails] = field(default_factory=dict[str, RefusalDetails])
     busy: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
 
-    def blocked(self) -> dict[str, str]:
-        """Axes that can not begin any more, with the one that failed before them."""
+    def find_blocked(self) -> dict[str, str]:
+        """Axes that cannot begin any more, with the axis before them that failed."""
         stopped: dict[str, str] = {axis: axis for axis in self.failed}
         while True:
             more = {
@@ -91,7 +88,7 @@ class _Run:
                 return {axis: cause for axis, cause in stopped.items() if axis not in self.failed}
             stopped |= more
 
-    def ready(self) -> list[str]:
+    def find_ready(self) -> list[str]:
         """Axes that may begin now."""
         begun = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
         ready = [
@@ -104,96 +101,92 @@ class _Run:
         return together or ([] if self.busy else alone[:1])
 
 
-class Homing:
-    """Homes axes of the fleet. stop: stops members, all at once (members, mode, actor, reason)."""
+class HomingSequence:
+    """Homes axes of the fleet."""
 
-    def __init__(
-        self, view: FleetView, members: Members, permits: Permits, targets: Targets, stop: StopMembers
-    ) -> None:
-        self._view = view
-        self._members = members
-        self._permits = permits
+    def __init__(self, fleet: FleetAccess, targets: Targets) -> None:
+        self._fleet = fleet
         self._targets = targets
-        self._stop = stop
 
-    async def run(self, axes: list[str] | None, holder: str, actor: str, progress: Progress) -> None:
-        """Home `axes`, or the fleet. Raises `Refuse`: which failed and why, and which were left because of it."""
-        fleet = self._view.fleet
+    async def run(self, axes: list[str] | None, holder: str, actor: str, progress: ProgressCallback) -> None:
+        """Home `axes`, or the fleet. Raises `Refusal`: the axes that failed and why, and those that were skipped
+        because of it."""
+        fleet = self._fleet.view.fleet
         order = homing_order(fleet, axes)
-        waits = must_wait_for(fleet, order)
-        run = _Run(holder, actor, waits, order.loners)
+        waits = find_prerequisites(fleet, order)
+        run = _HomingRun(holder, actor, waits, order.loners)
         for axis in [other for others in waits.values() for other in others if other not in waits]:
             self._require_referenced(axis, waits)
             run.homed.append(axis)
         total, before = len(waits), len(run.homed)
-        missing = self._permits.missing(waits)
+        missing = self._fleet.permits.find_missing(waits)
         if missing is not None:
-            raise Refuse("permit", missing, "bring it about, then submit again")
-        guard, woken = self._permits.guard(waits), asyncio.Event()
-        unlisten = self._permits.listen(woken.set)
+            raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+        guard, woken = self._fleet.permits.watch_losses(waits), asyncio.Event()
+        unlisten = self._fleet.permits.add_loss_listener(woken.set)
         tasks: dict[asyncio.Task[HomeReply], str] = {}
         waiting = asyncio.get_running_loop().create_task(woken.wait())
         try:
             while True:
-                for controller, names in by_controller(run.ready()).items():
+                for controller, names in group_by_controller(run.find_ready()).items():
                     run.busy[controller] = [f"{controller}.{name}" for name in names]
-                    ask = self._ask(run, controller, names)
+                    ask = self._request_homing(run, controller, names)
                     tasks[asyncio.get_running_loop().create_task(ask)] = controller
                 if not tasks:
                     break
                 now = sorted(axis for axes in run.busy.values() for axis in axes)
                 progress((len(run.homed) - before) / total, f"homing {', '.join(now)}")
                 await asyncio.wait([*tasks, waiting], return_when=asyncio.FIRST_COMPLETED)
-                lost = guard.lost()
+                lost = guard.describe_loss()
                 if lost is not None:
-                    await self._stop(list(run.busy), "decelerate", actor, lost)
-                    raise Refuse("permit", lost, "bring it about, then home again")
+                    await self._fleet.stop_members(list(run.busy), "decelerate", actor, lost)
+                    raise Refusal("permit", lost, "satisfy the permit, then home again")
                 for task in [each for each in tasks if each.done()]:
-                    self._take(run, tasks.pop(task), task.result())
+                    self._take_reply(run, tasks.pop(task), task.result())
         finally:
             unlisten()
             waiting.cancel()
             for task in tasks:
                 task.cancel()
         if run.failed:
-            raise self._failure(run)
+            raise self._make_failure(run)
 
     def _require_referenced(self, axis: str, waits: Mapping[str, set[str]]) -> None:
         controller, _, name = axis.partition(".")
-        state = self._view.state(controller)
+        state = self._fleet.view.last_state(controller)
         if state is None or not state.axes[name].referenced:
             waiting = next(each for each, others in waits.items() if axis in others)
-            raise Refuse(
+            raise Refusal(
                 "not-referenced",
-                f"{waiting} is homed after {axis} (homing.after), which is not referenced",
+                f"{waiting} must be homed after {axis} (homing.after), which is not referenced",
                 f"home {axis} first, or both together",
                 controller,
             )
 
-    async def _ask(self, run: _Run, controller: str, names: list[str]) -> HomeReply:
+    async def _request_homing(self, run: _HomingRun, controller: str, names: list[str]) -> HomeReply:
         for name in names:
             self._targets.forget(f"{controller}.{name}")
-        timeout_s = max(self._view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
-        request = HomeRequest(**self._members.fields(run.actor), axes=names, holder=run.holder)
-        state = self._view.state(controller)
+        timeout_s = max(self._fleet.view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
+        request = HomeRequest(**self._fleet.requests.request_fields(run.actor), axes=names, holder=run.holder)
+        state = self._fleet.view.last_state(controller)
         instance = None if state is None else state.instance
-        ask = self._members.ask(controller, "home", request, HomeReply, timeout_s + ANSWER_S)
+        ask = self._fleet.requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S)
         asked = asyncio.get_running_loop().create_task(ask)
         try:
             while True:
-                await asyncio.wait([asked], timeout=LOOK_S)
+                await asyncio.wait([asked], timeout=POLL_S)
                 if asked.done():
                     return asked.result()
-                # Its answer may take as long as its axes may look: nobody waits for it who knows that it will not come.
-                gone = self._view.gone(controller, instance)
+                # The answer may take as long as its axes may search: stop waiting once it is known that none will come.
+                gone = self._fleet.view.describe_absence(controller, instance)
                 if gone is not None:
-                    await self._stop([controller], "decelerate", run.actor, gone)
-                    remedy = "look at its adapter host (`tutti status`), then home again"
-                    return HomeReply(refused=Refusal(code="absent", text=gone, remedy=remedy, member=controller))
+                    await self._fleet.stop_members([controller], "decelerate", run.actor, gone)
+                    remedy = "check its adapter host (`tutti status`), then home again"
+                    return HomeReply(refused=RefusalDetails(code="absent", text=gone, remedy=remedy, member=controller))
         finally:
             asked.cancel()
 
-    def _take(self, run: _Run, controller: str, reply: HomeReply) -> None:
+    def _take_reply(self, run: _HomingRun, controller: str, reply: HomeReply) -> None:
         axes = run.busy.pop(controller)
         for axis in axes:
             name = axis.partition(".")[2]
@@ -202,15 +195,17 @@ class Homing:
             elif name in reply.homed:
                 run.homed.append(axis)
             else:
-                missing = Refusal(code="homing-failed", text=f"axis {name}: nothing was said of it")
+                missing = RefusalDetails(
+                    code="homing-failed", text=f"axis {name}: the adapter has not reported a result"
+                )
                 run.failed[axis] = reply.failed.get(name, missing)
 
-    def _failure(self, run: _Run) -> Refuse:
+    def _make_failure(self, run: _HomingRun) -> Refusal:
         first, why = next(iter(run.failed.items()))
-        # What a whole controller has refused is said once.
+        # The refusal of a whole controller is reported once.
         texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {each.text}" for axis, each in run.failed.items()))
-        blocked = run.blocked()
+        blocked = run.find_blocked()
         if blocked:
             causes = ", ".join(sorted(set(blocked.values())))
             texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
-        return Refuse(why.code, "; ".join(texts), why.remedy, first.partition(".")[0])
+        return Refusal(why.code, "; ".join(texts), why.remedy, first.partition(".")[0])

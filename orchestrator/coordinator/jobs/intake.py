@@ -1,148 +1,166 @@
-"""Where jobs come in: new ones, and ended ones that are to be done again; and where old ones are forgotten."""
+"""Job intake: submission of new jobs, re-runs of finished ones, and deletion of old ones."""
 
 from collections.abc import Callable
 from datetime import timedelta
+from typing import Any
 
-from orchestrator.coordinator.jobs.job_run import Works
-from orchestrator.coordinator.jobs.queue import axes_of
-from orchestrator.coordinator.jobs.scheduler import LATE, Runner
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.queue import find_axes
+from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
 from orchestrator.coordinator.jobs.steps import check_job
 from orchestrator.coordinator.journal import journal
-from orchestrator.coordinator.motion.targets import Refuse
-from orchestrator.model.base import UnknownName
+from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.model.errors import Refusal
 from orchestrator.model.job import Job, Move, Step
-from orchestrator.model.messages import Refusal
-from orchestrator.model.queue import MOST_STEPS, Terms, format_utc, parse_utc
-from orchestrator.model.report import ENDED
-from orchestrator.model.service import Again, AgainReply, AxisNow, Prune, Submit, Submitted
-from orchestrator.model.step_words import step_words
+from orchestrator.model.queue import MAX_STEPS, QueueTerms, format_utc, parse_utc
+from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
+from orchestrator.model.step_words import describe_step
 
-WORDS = 20  # remaining steps that are said in words
+MAX_DESCRIBED_STEPS = 20  # remaining steps that are described in words
 
 
-class Office:
-    """Takes jobs for `runner`."""
+class JobIntake:
+    """Accepts jobs for the scheduler."""
 
-    def __init__(self, works: Works, runner: Runner, new_id: Callable[[], str]) -> None:
-        self._works = works
-        self._runner = runner
+    def __init__(self, services: JobServices, scheduler: Scheduler, new_id: Callable[[], str]) -> None:
+        self._services = services
+        self._scheduler = scheduler
         self._new_id = new_id
 
-    async def submit(self, request: Submit) -> Submitted:
-        """Take a job: it is in the journal when this returns, or refused."""
-        try:
-            check_job(self._works.view.fleet, list(request.job.steps))
-            _check_length(request.job, request.terms)
-            await self._check_terms(request.terms, request.client_key)
-        except Refuse as error:
-            return Submitted(refused=error.refusal)
-        return await self._accept(request.client_key, request.job, request.terms, None)
+    async def submit_job(self, request: SubmitJob) -> JobSubmitted:
+        """Accept a job: it is in the journal when this returns. With `dry_run` only plan it. Raises `Refusal`."""
+        check_job(self._services.view.fleet, list(request.job.steps))
+        if request.dry_run:
+            return JobSubmitted(dry_run=await self._dry_run(request.job))
+        _check_length(request.job, request.terms)
+        await self._check_terms(request.terms, request.client_key)
+        return await self._accept_job(request.client_key, request.job, request.terms, None)
 
-    async def again(self, request: Again) -> AgainReply:
-        """Take an ended job again, from a step on; or say what that would mean."""
-        works = self._works
-        row = await works.runs(works.journal.row, request.job_id)
-        job = await works.runs(works.journal.job, request.job_id)
-        if row is None or job is None:
-            text = f"no job {request.job_id}"
-            return AgainReply(refused=Refusal(code="unknown-job", text=text, remedy="see `tutti job ls`"))
-        if row.state not in ENDED:
-            text = f"job {row.id} is {row.state}; only one that has ended can be done again"
-            return AgainReply(refused=Refusal(code="not-ended", text=text, remedy="wait for its end, or cancel it"))
-        terms = request.terms or Terms(repeat=row.repeat)
+    async def _dry_run(self, job: Job) -> dict[str, Any]:
+        """The plan of each motion step, from the present positions of the axes."""
+        steps: dict[str, Any] = {}
+        for index, step in enumerate(job.steps):
+            if isinstance(step, Move):
+                request = StepRequest("dry-run", job, index, step)
+                steps[str(index)] = await MotionStep(self._services.motion, request).dry_run()
+        return steps
+
+    async def retry_job(self, request: RetryJob) -> JobRetried:
+        """Re-run a finished job from a step on; or report what that would do. Raises `Refusal`, `UnknownName`."""
+        services = self._services
+        record = await services.execute(services.journal.load_record, request.job_id)
+        job = await services.execute(services.journal.load_job, request.job_id)
+        if record is None or job is None:
+            raise Refusal("unknown-job", f"no job {request.job_id}", "see `tutti job ls`")
+        if record.state not in FINISHED_STATES:
+            text = f"job {record.id} is {record.state}; only a finished job can be re-run"
+            raise Refusal("not-ended", text, "wait for its end, or cancel it")
+        terms = request.terms or QueueTerms(repeat=record.repeat)
         all_steps = job.steps * terms.repeat
         steps = all_steps[request.from_step :]
-        try:
-            if not steps:
-                text = f"job {row.id} has the steps 0 to {len(all_steps) - 1}"
-                raise Refuse("no-step", text, "name one of them as --from-step")
-            check_job(works.view.fleet, list(job.steps))
-            _check_length(job, terms)
-            await self._check_terms(terms, request.client_key)
-            axes = axes_of(works.view.fleet, steps)
-        except Refuse as error:
-            return AgainReply(refused=error.refusal)
-        except UnknownName as error:
-            return AgainReply(refused=Refusal(code="unknown-name", text=str(error), remedy="see `tutti axis ls`"))
-        reply = AgainReply(
-            steps=[f"{n} {step_words(step)}" for n, step in enumerate(steps[:WORDS], request.from_step)],
-            axes=[self._now(axis) for axis in axes],
-            warnings=_warnings(request.from_step, steps),
+        if not steps:
+            text = f"job {record.id} has the steps 0 to {len(all_steps) - 1}"
+            raise Refusal("no-step", text, "choose one of them with --from-step")
+        check_job(services.view.fleet, list(job.steps))
+        _check_length(job, terms)
+        await self._check_terms(terms, request.client_key)
+        described = enumerate(steps[:MAX_DESCRIBED_STEPS], request.from_step)
+        reply = JobRetried(
+            steps=[f"{number} {describe_step(step)}" for number, step in described],
+            axes=[self._axis_position(axis) for axis in find_axes(services.view.fleet, steps)],
+            warnings=_find_warnings(request.from_step, steps),
         )
         if request.dry_run:
             return reply
         fresh = job.model_copy(update={"actor": request.actor})
-        taken = await self._accept(request.client_key, fresh, terms, journal.Again(row.id, request.from_step))
+        taken = await self._accept_job(
+            request.client_key, fresh, terms, journal.RetryOrigin(record.id, request.from_step)
+        )
         return reply.model_copy(update={"job_id": taken.job_id, "entry": taken.entry})
 
-    async def prune(self, request: Prune) -> int:
-        """Forget old jobs; how many."""
-        works = self._works
-        before = parse_utc(works.clock.utc()) - timedelta(seconds=request.older_s)
-        gone = await works.runs(works.journal.prune, format_utc(before), request.keep)
-        works.log.info(f"{gone} jobs submitted before {format_utc(before)} are forgotten, told so by {request.actor}")
+    async def prune_jobs(self, request: PruneJobs) -> int:
+        """Delete old jobs; return how many."""
+        services = self._services
+        before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
+        gone = await services.execute(services.journal.prune_jobs, format_utc(before), request.keep)
+        services.log.info(f"{gone} jobs submitted before {format_utc(before)} deleted by {request.actor}")
         return gone
 
     # Inside
 
-    async def _accept(self, client_key: str, job: Job, terms: Terms, again: journal.Again | None) -> Submitted:
-        works = self._works
-        job_id, fresh = await works.runs(
-            works.journal.accept, self._new_id()[:8], client_key, job, works.clock.utc(), terms, again
+    async def _accept_job(
+        self, client_key: str, job: Job, terms: QueueTerms, retried: journal.RetryOrigin | None
+    ) -> JobSubmitted:
+        services = self._services
+        job_id, fresh = await services.execute(
+            services.journal.accept_job, self._new_id()[:8], client_key, job, services.clock.utc(), terms, retried
         )
-        row = await works.runs(works.journal.row, job_id)
+        row = await services.execute(services.journal.load_record, job_id)
         assert row is not None
         if fresh:
-            works.log.info(f"accepted {job.name!r} from {job.actor}", job=job_id)
-            await self._runner.enter(row, job)
-        return Submitted(job_id=job_id, entry=self._runner.entry(row))
+            services.log.info(f"accepted {job.name!r} from {job.actor}", job=job_id)
+            await self._scheduler.enter_job(row, job)
+        return JobSubmitted(job_id=job_id, entry=self._scheduler.make_entry(row))
 
-    async def _check_terms(self, terms: Terms, client_key: str) -> None:
-        """Raises `Refuse` for a time that is past, and for a job to come after that can not be done any more; but a
-        request that is repeated gets the answer that it had."""
-        works = self._works
-        if await works.runs(works.journal.knows, client_key):
+    async def _check_terms(self, terms: QueueTerms, client_key: str) -> None:
+        """Raises `Refusal` for a start time in the past, and for a predecessor that cannot become done any more; a
+        repeated request gets its earlier answer."""
+        services = self._services
+        if await services.execute(services.journal.has_client_key, client_key):
             return
-        now = parse_utc(works.clock.utc())
-        if terms.at is not None and terms.missed == "skip" and parse_utc(terms.at) < now - LATE:
-            raise Refuse(
-                "past", f"{terms.at} is past; it is {format_utc(now)}", "give a later time, or say `missed: run`"
+        now = parse_utc(services.clock.utc())
+        if terms.at is not None and terms.missed == "skip" and parse_utc(terms.at) < now - MISSED_AFTER:
+            raise Refusal(
+                "past",
+                f"start time {terms.at} is in the past; it is now {format_utc(now)}",
+                "give a later time, or set `missed: run`",
             )
         if terms.after is not None:
-            row = await works.runs(works.journal.row, terms.after)
+            row = await services.execute(services.journal.load_record, terms.after)
             if row is None:
-                raise Refuse("unknown-job", f"no job {terms.after} to come after", "see `tutti job ls`")
-            if row.state in ENDED and row.state != "done":
-                raise Refuse(
-                    "not-done", f"job {row.id} is {row.state} and will not be done any more", "come after another"
+                raise Refusal("unknown-job", f"there is no job {terms.after} to wait for", "see `tutti job ls`")
+            if row.state in FINISHED_STATES and row.state != "done":
+                raise Refusal(
+                    "not-done",
+                    f"job {row.id} is {row.state} and will not become done",
+                    "choose another job for `after`",
                 )
 
-    def _now(self, axis: str) -> AxisNow:
+    def _axis_position(self, axis: str) -> AxisPosition:
         controller, _, name = axis.partition(".")
-        state, unit = self._works.view.state(controller), self._works.view.fleet.axis(axis).unit
-        if state is None or self._works.view.silent(controller) or state.mode == "offline" or name not in state.axes:
-            return AxisNow(axis=axis, unit=unit, position=None)
+        state, unit = self._services.view.last_state(controller), self._services.view.fleet.axis(axis).unit
+        if (
+            state is None
+            or self._services.view.is_silent(controller)
+            or state.mode == "offline"
+            or name not in state.axes
+        ):
+            return AxisPosition(axis=axis, unit=unit, position=None)
         now = state.axes[name]
-        return AxisNow(axis=axis, unit=now.unit, position=now.position, enabled=now.enabled, referenced=now.referenced)
+        return AxisPosition(
+            axis=axis, unit=now.unit, position=now.position, enabled=now.enabled, referenced=now.referenced
+        )
 
 
-def _check_length(job: Job, terms: Terms) -> None:
+def _check_length(job: Job, terms: QueueTerms) -> None:
     steps = len(job.steps) * terms.repeat
-    if steps > MOST_STEPS:
-        raise Refuse(
+    if steps > MAX_STEPS:
+        raise Refusal(
             "too-long",
-            f"{len(job.steps)} steps {terms.repeat} times are {steps}; {MOST_STEPS} are possible",
+            f"{len(job.steps)} steps, {terms.repeat} times, are {steps}; the maximum is {MAX_STEPS}",
             "repeat it less often, or submit several jobs",
         )
 
 
-def _warnings(first: int, steps: list[Step]) -> list[str]:
-    """What an axis that stands somewhere on its way means for the steps."""
+def _find_warnings(first: int, steps: list[Step]) -> list[str]:
+    """Warnings for steps whose result depends on where the axes are now."""
     absolute: set[str] = set()
     for number, step in enumerate(steps, first):
         if isinstance(step, Move):
             relative = [axis for axis in step.by if axis not in absolute]
             absolute |= set(step.to) | set(step.by)
             if relative:
-                return [f"step {number} moves {', '.join(relative)} by a distance, from where it stands now"]
+                return [f"step {number} moves {', '.join(relative)} by a distance, from the current position"]
     return []

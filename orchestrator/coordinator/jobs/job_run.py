@@ -1,35 +1,39 @@
-"""One job that runs: its leases, its steps one after the other, its pauses, and its report."""
+"""Execution of one job: its leases, its steps one after the other, its pauses, and its report."""
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 
 from orchestrator.bus.base import Bus, BusError, Priority
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.log import Log
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
-from orchestrator.clock.executor import Runs
-from orchestrator.coordinator.fleet.leases import InUse, LeaseBook
+from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.leases import AxesInUse, LeaseRegistry
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.queue import axes_of, steps_to_run
+from orchestrator.coordinator.jobs.queue import expand_repeats, find_axes
 from orchestrator.coordinator.jobs.steps import PlainSteps, check_job
-from orchestrator.coordinator.journal.journal import JobRow, Journal, JournalError
-from orchestrator.coordinator.leadership.leadership import Throne
-from orchestrator.coordinator.motion.motion import HELD, Motion
-from orchestrator.coordinator.motion.targets import Refuse
-from orchestrator.model.fleet import by_controller
+from orchestrator.coordinator.journal.journal import JobRecord, Journal, JournalError
+from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
+from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Home, Job, Move, Step
-from orchestrator.model.messages import StopMode
-from orchestrator.model.report import Held, JobReport, JobState, Progress, StepReport, Transition
+from orchestrator.model.messages import RefusalDetails, StopMode
+from orchestrator.model.report import FeedHold, JobProgress, JobReport, JobState, JobTransition, StepReport
 
 PROGRESS_NS = NS_PER_S // 5
-REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show that it is over
-REST_LOOK_NS = NS_PER_S // 20
+REST_NS = NS_PER_S // 2  # beyond a declared stop time, for a poll to show rest
+REST_POLL_NS = NS_PER_S // 20
 
 
-class Interrupted(Exception):
-    """A running job is to end: in which state, and why."""
+class JobInterrupted(Exception):
+    """The reason to end a running job: the state to end in, why, and the originator."""
 
     def __init__(self, state: JobState, reason: str, actor: str) -> None:
         super().__init__(reason)
@@ -39,33 +43,34 @@ class Interrupted(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Works:
-    """What jobs are run with."""
+class JobServices:
+    """The services that jobs need."""
 
     bus: Bus
     keys: Keys
     clock: Clock
     journal: Journal
-    runs: Runs
+    execute: Executor
     view: FleetView
-    motion: Motion
-    plain: PlainSteps
-    leases: LeaseBook
-    throne: Throne
+    fleet: FleetAccess
+    motion: MotionServices
+    plain_steps: PlainSteps
+    leases: LeaseRegistry
+    leadership: Leadership
     log: Log
 
-    def transition(self, state: JobState, reason: str, actor: str) -> Transition:
+    def make_transition(self, state: JobState, reason: str, actor: str) -> JobTransition:
         """A change of a job's state, now."""
-        fleet_ns = self.throne.fleet_now_ns()
-        return Transition(state=state, reason=reason, actor=actor, utc=self.clock.utc(), fleet_ns=fleet_ns)
+        fleet_ns = self.leadership.fleet_now_ns()
+        return JobTransition(state=state, reason=reason, actor=actor, utc=self.clock.utc(), fleet_ns=fleet_ns)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a job came to its end.
+class JobOutcome:
+    """The end of a job's execution.
 
-    begun: False when its axes were taken, or the journal could not be written (trouble), before it could begin: then it
-    waits on.
+    begun: False when its axes were taken, or the journal could not be written (trouble), before it could begin; then
+    it waits again.
     """
 
     state: JobState
@@ -76,21 +81,30 @@ class Outcome:
     trouble: bool = False
 
 
-class JobRun:
-    """`row` under way. needs: controllers that it has for itself."""
+@dataclass(frozen=True, slots=True)
+class _StepCallbacks:
+    """What a motion step reports to its job."""
 
-    def __init__(self, works: Works, row: JobRow, job: Job, report: JobReport) -> None:
+    on_state: StateCallback
+    on_started: Callable[[int, float], None]
+
+
+class JobRun:
+    """The execution of job `row`. needs: controllers that no other job may use meanwhile."""
+
+    def __init__(self, services: JobServices, row: JobRecord, job: Job, report: JobReport) -> None:
         self.row = row
         self.job = job
         self.needs: frozenset[str] = frozenset()
         self.state: JobState = "queued"
-        self.task: asyncio.Task[Outcome] | None = None
-        self._works = works
-        self._interrupt: Interrupted | None = None
-        self._given_up: Interrupted | None = None
+        self.task: asyncio.Task[JobOutcome] | None = None
+        self._services = services
+        self._motion_step: MotionStep | None = None
+        self._interrupt: JobInterrupted | None = None
+        self._given_up: JobInterrupted | None = None
         self._noted = False
         self._over = False
-        self._steps = steps_to_run(row, job)
+        self._steps = expand_repeats(row, job)
         self._report = report
         self._reports: list[StepReport] = []
         self._reason = ""
@@ -98,7 +112,7 @@ class JobRun:
         self._step_t0_ns = 0
         self._step_s = 0.0
         self._seen_ns: int | None = None
-        """Since when its axes rest and nothing has been done with them; None: nobody has looked."""
+        """Since when its axes have been at rest without any request; None: not known."""
         self._part = 0.0
         self._doing = ""
         self._paused_by: str | None = None
@@ -107,26 +121,26 @@ class JobRun:
         self._resumed_by = ""
 
     @property
-    def words(self) -> str:
-        """Which job it is, for those who wait for it."""
+    def description(self) -> str:
+        """A description of the job for those that wait for it."""
         return f"job {self.row.id} {self.row.name!r} of {self.row.actor}"
 
     @property
-    def to_run(self) -> list[Step]:
+    def steps_to_run(self) -> list[Step]:
         """The steps that it runs, from the one that it begins with."""
         return self._steps[self.row.from_step :]
 
     @property
     def members(self) -> list[str]:
-        """Controllers that it can move, for stopping them all."""
-        return list(by_controller(axes_of(self._works.view.fleet, self.to_run)))
+        """Controllers that it can move, to stop them all."""
+        return list(group_by_controller(find_axes(self._services.view.fleet, self.steps_to_run)))
 
-    async def interrupt(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
-        """Stop its axes and end it. Does nothing to one that ends already."""
+    async def interrupt_job(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
+        """Stop its axes and end it. Does nothing to a job that is ending already."""
         if self._over or self._interrupt is not None or self.task is None:
             return
         self._interrupt = interrupt
-        await self._works.motion.stop(self.members, mode, interrupt.actor, interrupt.reason)
+        await self._services.fleet.stop_members(self.members, mode, interrupt.actor, interrupt.reason)
         if not self._over:
             self.task.cancel()
 
@@ -134,90 +148,91 @@ class JobRun:
 
     @property
     def paused_by(self) -> str | None:
-        """Who has paused it, or asked for it."""
+        """The originator of the pause, or of a requested pause."""
         return self._paused_by
 
     def pause(self, actor: str) -> None:
-        """Hold the job when the present step has ended. Its axes stay its own."""
+        """Pause the job after its current step. It keeps its axes."""
         self._paused_by = actor
         self._resumed.clear()
-        self.publish()
+        self.publish_progress()
 
-    async def brake(self, actor: str) -> None:
-        """Hold inside a motion step: its axes brake together, and it goes on from where they stand. Any other step is
-        held at its end."""
+    async def feed_hold(self, actor: str) -> None:
+        """Pause inside a motion step by a feed hold: its axes brake together, and the step continues from where they
+        stand. Any other step is paused at its end."""
         self._braked = True
-        await self._works.motion.hold(self.row.id, actor)
+        if self._motion_step is not None:
+            await self._motion_step.feed_hold(actor)
 
     def resume(self, actor: str) -> None:
-        """Go on with the step that is held inside, or the next one, or do not hold at all."""
+        """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
         self._paused_by, self._resumed_by, self._braked = None, actor, False
         self._resumed.set()
-        self.publish()
+        self.publish_progress()
 
-    def give_up(self, interrupt: Interrupted) -> None:
-        """Begin no step any more. What moves is left to who has stopped it."""
+    def abandon(self, interrupt: JobInterrupted) -> None:
+        """Begin no further step. Motion is left to the originator of the stop."""
         self._given_up = interrupt
         self._resumed.set()
 
-    async def _hold(self) -> None:
-        """Wait until somebody resumes the job, if it is paused. Raises `Interrupted` when it is given up."""
+    async def _wait_while_paused(self) -> None:
+        """Wait until the job is resumed, if it is paused. Raises `Interrupted` when it is ended."""
         while self._paused_by is not None:
             self._seen_ns = None
             where = f"before step {self._step}" if self._step == self.row.from_step else f"after step {self._step - 1}"
             if self._part:
                 where = f"in step {self._step}"
-            await self._change("holding", f"paused by {self._paused_by} {where}", self._paused_by)
+            await self._change_state("paused", f"paused by {self._paused_by} {where}", self._paused_by)
             await self._resumed.wait()
             if self._given_up is not None:
                 break
-            await self._change("running", f"resumed by {self._resumed_by}", self._resumed_by)
+            await self._change_state("running", f"resumed by {self._resumed_by}", self._resumed_by)
         if self._given_up is not None:
             raise self._given_up
 
-    # The way of a job
+    # Execution
 
-    async def run(self) -> Outcome:
+    async def run(self) -> JobOutcome:
         """Run all steps; raises nothing."""
-        beat = asyncio.get_running_loop().create_task(self._beat())
+        beat = asyncio.get_running_loop().create_task(self._publish_progress())
         try:
-            outcome = await self._run()
+            outcome = await self._run_job()
         finally:
             self._over = True
             beat.cancel()
         if outcome.state != "done" and self._holds_axes():
-            # A stop takes its time to arrive, and its ramp as well: nobody else has the axes meanwhile.
-            await self._until_at_rest()
+            # A stop takes time to arrive, and so does its ramp: no other job gets the axes meanwhile.
+            await self._wait_for_rest()
         await self._disable_by_policy()
-        await self._works.leases.give_back(self.row.id)
+        await self._services.leases.release(self.row.id)
         return outcome
 
-    def broken_off(self, error: BaseException | None) -> Outcome:
-        """How a run ended that could not say it itself: with an error, or cancelled at an unlucky moment."""
-        ended = self._interrupt or Interrupted("interrupted", "the coordinator ended", "coordinator")
+    def make_broken_outcome(self, error: BaseException | None) -> JobOutcome:
+        """The outcome of a run that could not report it itself: it ended with an error, or was cancelled."""
+        ended = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
         if error is not None:
-            ended = Interrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
+            ended = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
         report = self._report.model_copy(update={"steps": self._reports})
-        return Outcome(ended.state, ended.reason, ended.actor, report)
+        return JobOutcome(ended.state, ended.reason, ended.actor, report)
 
-    async def _run(self) -> Outcome:
-        works = self._works
-        self._report = self._report.model_copy(update={"started_utc": works.clock.utc()})
+    async def _run_job(self) -> JobOutcome:
+        services = self._services
+        self._report = self._report.model_copy(update={"started_utc": services.clock.utc()})
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
-            check_job(works.view.fleet, self.to_run)
-            axes = axes_of(works.view.fleet, self.to_run)
-            since_ns = works.clock.now_ns()
-            await works.leases.take(self.row.id, self.row.actor, f"job {self.row.name!r}", axes)
-            await self._until_at_rest(since_ns)
+            check_job(services.view.fleet, self.steps_to_run)
+            axes = find_axes(services.view.fleet, self.steps_to_run)
+            since_ns = services.clock.now_ns()
+            await services.leases.acquire(self.row.id, self.row.actor, f"job {self.row.name!r}", axes)
+            await self._wait_for_rest(since_ns)
             await self._enable_by_policy()
             for index in range(self.row.from_step, len(self._steps)):
                 self._step, self._step_t0_ns, self._step_s = index, 0, 0.0
                 self._part, self._doing = 0.0, ""
-                await self._hold()
+                await self._wait_while_paused()
                 step = self._steps[index]
-                report = await self._run_through_holds(index, step)
+                report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
                 self._reports.append(report)
                 if report.state != "done":
@@ -225,106 +240,112 @@ class JobRun:
                     reason = f"step {index} ({step.do}): {report.reason}"
                     break
         except asyncio.CancelledError:
-            interrupt = self._interrupt or Interrupted("interrupted", "the coordinator ended", "coordinator")
+            interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
-        except Interrupted as given_up:
+        except JobInterrupted as given_up:
             state, reason, actor = given_up.state, given_up.reason, given_up.actor
-        except InUse as error:
-            return Outcome("queued", error.refusal.text, actor, self._report, begun=False)
-        except Refuse as error:
-            state, reason = "failed", f"not begun: {error.refusal.text}; {error.refusal.remedy}".rstrip("; ")
+        except AxesInUse as error:
+            return JobOutcome("queued", error.text, actor, self._report, begun=False)
+        except Refusal as error:
+            state, reason = "failed", f"not begun: {error.text}; {error.remedy}".rstrip("; ")
         except JournalError as error:
             if not self._noted:
-                return Outcome("queued", str(error), actor, self._report, begun=False, trouble=True)
+                return JobOutcome("queued", str(error), actor, self._report, begun=False, trouble=True)
             state, reason = "failed", str(error)
-            await works.motion.stop(self.members, "decelerate", "coordinator", reason)
+            await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
         except Exception as error:
             state, reason = "failed", f"a defect of the coordinator: {error!r}"
-            await works.motion.stop(self.members, "decelerate", "coordinator", reason)
-        return Outcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
+            await services.fleet.stop_members(self.members, "decelerate", "coordinator", reason)
+        return JobOutcome(state, reason, actor, self._report.model_copy(update={"steps": self._reports}))
 
-    async def _run_through_holds(self, index: int, step: Step) -> StepReport:
-        """Run a step; one that is held inside goes on to the same targets from where its axes stand."""
-        holds: list[Held] = []
-        goal: dict[str, Fraction] = {}
-        while True:
-            report = await self._run_step(index, step, goal)
-            if report.refused is None or report.refused.code != HELD:
-                return report.model_copy(update={"holds": holds})
-            if report.state == "stopped":
-                works, by = self._works, self._paused_by or self._resumed_by
-                holds.append(Held(by=by, utc=works.clock.utc(), rest_skew=report.end_skew))
-                self._part = self._within()
-            self._step_t0_ns = 0
-            await self._hold()
-            await self._until_at_rest()
-
-    async def _run_step(self, index: int, step: Step, goal: dict[str, Fraction]) -> StepReport:
-        works = self._works
-
-        async def on_state(state: JobState, reason: str) -> None:
-            await self._change(state, reason)
-            if self._braked and state != "planning":
-                # It was asked for while there was nothing to brake yet.
-                await works.motion.hold(self.row.id, self._paused_by or "")
-
-        def on_progress(part: float, doing: str) -> None:
-            self._part, self._doing = part, doing
-            self.publish()
-
-        def on_started(t0_fleet_ns: int, duration_s: float) -> None:
-            self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
-
-        began_ns = works.clock.now_ns()
+    async def _run_step_with_pauses(self, index: int, step: Step) -> StepReport:
+        """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
+        holds: list[FeedHold] = []
+        if isinstance(step, Move):
+            request = StepRequest(self.row.id, self.job, index, step)
+            self._motion_step = MotionStep(self._services.motion, request)
         try:
-            if isinstance(step, Move):
-                return await works.motion.run(
-                    self.row.id, self.job, index, step, on_state, on_started, goal, self._seen_ns
-                )
-            await on_state("running", "")
-            await works.plain.run(step, self.row.id, self.row.actor, on_progress)
-        except Refuse as error:
-            refusal = error.refusal
-            works.log.warning(refusal.text, job=self.row.id, step=index, code=refusal.code)
-            reason = f"{refusal.text}" + (f"; {refusal.remedy}" if refusal.remedy else "")
+            while True:
+                report = await self._run_step(index, step)
+                if report.refused is None or report.refused.code != FEED_HOLD:
+                    return report.model_copy(update={"feed_holds": holds})
+                if report.state == "stopped":
+                    services, by = self._services, self._paused_by or self._resumed_by
+                    holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
+                    self._part = self._step_fraction()
+                self._step_t0_ns = 0
+                await self._wait_while_paused()
+                await self._wait_for_rest()
+        finally:
+            self._motion_step = None
+
+    async def _run_step(self, index: int, step: Step) -> StepReport:
+        services = self._services
+        began_ns = services.clock.now_ns()
+        try:
+            if self._motion_step is not None:
+                return await self._motion_step.run(_StepCallbacks(self._on_state, self._on_started), self._seen_ns)
+            await self._on_state("running", "")
+            await services.plain_steps.run_step(step, self.row.id, self.row.actor, self._on_progress)
+        except Refusal as error:
+            services.log.warning(error.text, job=self.row.id, step=index, code=error.code)
+            reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
             return StepReport(
-                index=index, do=step.do, name=step.name or "", state="failed", reason=reason, refused=refusal
+                index=index,
+                do=step.do,
+                name=step.name or "",
+                state="failed",
+                reason=reason,
+                refused=RefusalDetails.of(error),
             )
-        took_s = (works.clock.now_ns() - began_ns) / NS_PER_S
+        took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         return StepReport(index=index, do=step.do, name=step.name or "", state="done", actual_s=took_s)
 
-    async def _change(self, state: JobState, reason: str, actor: str | None = None) -> None:
+    async def _on_state(self, state: JobState, reason: str) -> None:
+        await self._change_state(state, reason)
+        if self._braked and state != "planning" and self._motion_step is not None:
+            # The pause was requested while nothing could be braked yet.
+            await self._motion_step.feed_hold(self._paused_by or "")
+
+    def _on_progress(self, part: float, doing: str) -> None:
+        self._part, self._doing = part, doing
+        self.publish_progress()
+
+    def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
+        self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
+
+    async def _change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
         if state == self.state and state != "planning":
             return
-        works = self._works
-        transition = works.transition(state, reason, actor or self.row.actor)
-        await works.runs(works.journal.change, self.row.id, transition)
+        services = self._services
+        transition = services.make_transition(state, reason, actor or self.row.actor)
+        await services.execute(services.journal.record_transition, self.row.id, transition)
         self.state, self._reason, self._noted = state, reason, True
-        works.log.info(f"job is {state}", job=self.row.id, step=self._step, epoch=works.throne.epoch)
-        self.publish()
+        services.log.info(f"job is {state}", job=self.row.id, step=self._step, epoch=services.leadership.epoch)
+        self.publish_progress()
 
     # Progress
 
-    async def _beat(self) -> None:
+    async def _publish_progress(self) -> None:
         while True:
-            self.publish()
-            await sleep_ns(self._works.clock, PROGRESS_NS)
+            self.publish_progress()
+            await sleep_ns(self._services.clock, PROGRESS_NS)
 
-    def publish(self) -> None:
-        """Put how far it has come."""
-        key = self._works.keys.job_state(self.row.id)
-        self._works.bus.put(key, self.progress().to_json(), Priority.STATE)
+    def publish_progress(self) -> None:
+        """Publish its progress."""
+        key = self._services.keys.job_state(self.row.id)
+        self._services.bus.put(key, self.make_progress().to_json(), Priority.STATE)
 
-    def progress(self) -> Progress:
-        """How far the job has come: steps done, and the part of the present one."""
-        within, remaining_s = self._within(), None
+    def make_progress(self) -> JobProgress:
+        """The progress of the job: steps done, and the fraction of the current one."""
+        within, remaining_s = self._step_fraction(), None
         if self._step_t0_ns and self._step_s > 0:
-            remaining_s = max(0.0, self._step_s - self._gone_s())
+            remaining_s = max(0.0, self._step_s - self._elapsed_s())
         step = self._steps[self._step]
         reason = self._reason
-        if self._paused_by is not None and self.state != "holding":
+        if self._paused_by is not None and self.state != "paused":
             reason = f"pauses after this step: {self._paused_by}"
-        return Progress(
+        return JobProgress(
             job_id=self.row.id,
             name=self.row.name,
             actor=self.row.actor,
@@ -335,72 +356,76 @@ class JobRun:
             fraction=min(1.0, (self._step + within) / len(self._steps)),
             remaining_s=remaining_s,
             reason=reason,
-            utc=self._works.clock.utc(),
+            utc=self._services.clock.utc(),
         )
 
-    def _gone_s(self) -> float:
-        return (self._works.throne.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
+    def _elapsed_s(self) -> float:
+        return (self._services.leadership.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
 
-    def _within(self) -> float:
-        """The part of the present step that is done: of the rest behind `_part`, by time."""
+    def _step_fraction(self) -> float:
+        """The fraction of the current step that is done: of the rest after `_part`, by time."""
         if not self._step_t0_ns or self._step_s <= 0:
             return self._part
-        return self._part + (1 - self._part) * min(1.0, max(0.0, self._gone_s() / self._step_s))
+        return self._part + (1 - self._part) * min(1.0, max(0.0, self._elapsed_s() / self._step_s))
 
     # Motors
 
-    def _moved(self) -> list[str]:
+    def _moved_axes(self) -> list[str]:
         """Axes that it moves, and that are enabled for it if the fleet file says so."""
-        return axes_of(self._works.view.fleet, [step for step in self.to_run if isinstance(step, Move | Home)])
+        return find_axes(
+            self._services.view.fleet, [step for step in self.steps_to_run if isinstance(step, Move | Home)]
+        )
 
     async def _enable_by_policy(self) -> None:
-        """Enable what the fleet file wants enabled for a job and is not. Raises `Refuse`."""
-        fleet = self._works.view.fleet
-        off = [axis for axis in self._moved() if fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)]
+        """Enable axes with `enable: per_job` that are not enabled. Raises `Refusal`."""
+        fleet = self._services.view.fleet
+        off = [
+            axis for axis in self._moved_axes() if fleet.axis(axis).enable != "manual" and not self._is_enabled(axis)
+        ]
         if off:
             self._seen_ns = None
-            await self._works.plain.enable(off, True, self.row.id, self.row.actor)
+            await self._services.plain_steps.switch_motors(off, True, self.row.id, self.row.actor)
 
     async def _disable_by_policy(self) -> None:
-        """Disable what is enabled for jobs only. What still ramps down stays on, and that is said."""
-        works = self._works
+        """Disable axes with `enable: per_job`. An axis that still ramps down stays enabled, and that is logged."""
+        services = self._services
         if not self._holds_axes():
             return
-        per_job = [axis for axis in self._moved() if works.view.fleet.axis(axis).enable == "per_job"]
+        per_job = [axis for axis in self._moved_axes() if services.view.fleet.axis(axis).enable == "per_job"]
         if per_job:
             try:
-                await works.plain.enable(per_job, False, self.row.id, self.row.actor)
-            except Refuse as error:
-                works.log.warning(f"left enabled after the job: {error.refusal.text}", job=self.row.id)
+                await services.plain_steps.switch_motors(per_job, False, self.row.id, self.row.actor)
+            except Refusal as error:
+                services.log.warning(f"left enabled after the job: {error.text}", job=self.row.id)
 
-    async def _until_at_rest(self, since_ns: int | None = None) -> None:
-        """Wait until what was stopped, with this job or an earlier reign or hand, has come to the end of its ramp. Who
-        does not answer, or takes longer than it has declared, is waited for only as long as that: planning refuses
-        it. since_ns: from when on an answer counts."""
-        self._seen_ns = self._works.clock.now_ns() if since_ns is None else since_ns
-        await asyncio.gather(*(self._rests(member, since_ns) for member in self.members))
+    async def _wait_for_rest(self, since_ns: int | None = None) -> None:
+        """Wait until motion that was stopped, by this job or an earlier leader or holder, has come to rest. A member
+        that does not answer, or takes longer than it has declared, is waited for only that long: planning refuses
+        it. since_ns: answers count from then on."""
+        self._seen_ns = self._services.clock.now_ns() if since_ns is None else since_ns
+        await asyncio.gather(*(self._wait_for_member_rest(member, since_ns) for member in self.members))
 
-    async def _rests(self, member: str, since_ns: int | None) -> None:
-        works = self._works
-        # The ramps of a step may be gentler than any that its axes can do.
-        stop_ns = works.motion.stops_ns.get(member, 0)
+    async def _wait_for_member_rest(self, member: str, since_ns: int | None) -> None:
+        services = self._services
+        # The ramps of a step may be gentler than the limits of its axes.
+        stop_ns = services.motion.stop_times_ns.get(member, 0)
         with suppress(BusError):
-            stop_ns = max(stop_ns, (await works.view.info(member)).costs.stop_ns)
-        until_ns = works.clock.now_ns() + stop_ns + REST_NS
-        while works.clock.now_ns() < until_ns:
-            # Who can not be asked is stopped by others, its guardian or its own watchdog, which takes as long.
+            stop_ns = max(stop_ns, (await services.view.query_info(member)).costs.stop_ns)
+        until_ns = services.clock.now_ns() + stop_ns + REST_NS
+        while services.clock.now_ns() < until_ns:
+            # A member that does not answer is stopped by its guardian or its own watchdog, which takes as long.
             with suppress(BusError):
-                state, since_ns = await works.view.fresh(member, since_ns), None
-                # Who has just begun to look for its reference has not been seen to move yet.
+                state, since_ns = await services.view.query_state(member, since_ns), None
+                # A homing that has just begun is not seen as motion yet.
                 busy = any(each.moving or each.homing for each in state.axes.values())
                 if state.mode not in ("moving", "stopping") and not busy:
                     return
-            await sleep_ns(works.clock, REST_LOOK_NS)
+            await sleep_ns(services.clock, REST_POLL_NS)
 
     def _holds_axes(self) -> bool:
-        return any(held.holder == self.row.id for held in self._works.leases.held)
+        return any(held.holder == self.row.id for held in self._services.leases.all_leases)
 
     def _is_enabled(self, axis: str) -> bool:
         controller, _, name = axis.partition(".")
-        state = self._works.view.state(controller)
+        state = self._services.view.last_state(controller)
         return state is not None and state.axes[name].enabled

@@ -1,25 +1,25 @@
-"""What the bus shows of the queue: lists of jobs, and for what each one waits."""
+"""Publication of the queue: lists of jobs, and what each one waits for."""
 
 import asyncio
 from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.jobs.job_run import JobRun, Works
-from orchestrator.coordinator.jobs.queue import Waiting, in_order
-from orchestrator.coordinator.journal.journal import JobRow
-from orchestrator.model.report import ENDED, JobState, Progress, QueueEntry, QueueState
+from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
+from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
+from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.model.report import FINISHED_STATES, JobProgress, JobState, QueueEntry, QueueState
 
-SHOWN = 200  # entries of the queue on the bus: what is behind them waits for long
-SOON_NS = NS_PER_MS  # first it is decided what becomes of a job that has just come
-QUIET_NS = 50 * NS_PER_MS  # between two puts of the queue, however fast jobs come
+MAX_PUBLISHED_JOBS = 200  # entries of the queue on the bus; those after them wait long anyway
+FIRST_DELAY_NS = NS_PER_MS  # a job that has just been accepted is scheduled first
+MIN_INTERVAL_NS = 50 * NS_PER_MS  # minimum time between two publications of the queue
 
 
-class Board:
-    """Shows the jobs that wait and run."""
+class QueuePublisher:
+    """Publishes the waiting and the running jobs."""
 
-    def __init__(self, works: Works, waiting: Mapping[str, Waiting], running: Mapping[str, JobRun]) -> None:
-        self._works = works
+    def __init__(self, services: JobServices, waiting: Mapping[str, WaitingJob], running: Mapping[str, JobRun]) -> None:
+        self._services = services
         self._waiting = waiting
         self._running = running
         self._places: Mapping[str, int] = {}
@@ -32,12 +32,12 @@ class Board:
         if self._announcing is not None:
             self._announcing.cancel()
 
-    def entries(self, rows: Iterable[JobRow]) -> list[QueueEntry]:
-        """Jobs as a list shows them: with what only the present coordinator knows of those that wait."""
-        return [self.entry(row) for row in rows]
+    def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:
+        """List entries of jobs, with the reasons for waiting that only the current leader has."""
+        return [self.make_entry(row) for row in rows]
 
-    def entry(self, row: JobRow) -> QueueEntry:
-        """A job as a list shows it. It has its place as soon as it was decided that it waits."""
+    def make_entry(self, row: JobRecord) -> QueueEntry:
+        """The list entry of a job. It has its place as soon as the scheduler has decided that it waits."""
         run, waiting = self._running.get(row.id), self._waiting.get(row.id)
         if waiting is not None:
             row = waiting.row
@@ -45,7 +45,7 @@ class Board:
             id=row.id,
             name=row.name,
             actor=row.actor,
-            state=run.state if run is not None and row.state not in ENDED else row.state,
+            state=run.state if run is not None and row.state not in FINISHED_STATES else row.state,
             reason=row.reason if waiting is None else self._reasons.get(row.id, row.reason),
             submitted_utc=row.submitted_utc,
             place=None if waiting is None else self._places.get(row.id),
@@ -55,41 +55,41 @@ class Board:
             from_step=row.from_step,
         )
 
-    def announce(self) -> None:
-        """Put the queue on the bus: soon after a quiet time, else when one has passed."""
+    def schedule_publication(self) -> None:
+        """Publish the queue: soon after a quiet time, else when one has passed."""
         self._changed = True
         if self._announcing is None or self._announcing.done():
-            self._announcing = asyncio.get_running_loop().create_task(self._announce())
+            self._announcing = asyncio.get_running_loop().create_task(self._publish_queue())
 
-    async def _announce(self) -> None:
-        await sleep_ns(self._works.clock, SOON_NS)
+    async def _publish_queue(self) -> None:
+        await sleep_ns(self._services.clock, FIRST_DELAY_NS)
         while self._changed:
             self._changed = False
             rows = [run.row for run in self._running.values()]
-            rows += [each.row for each in in_order(self._waiting)[:SHOWN]]
+            rows += [each.row for each in sort_waiting(self._waiting)[:MAX_PUBLISHED_JOBS]]
             total = len(self._running) + len(self._waiting)
-            state = QueueState(total=total, jobs=self.entries(rows[:SHOWN]))
-            self._works.bus.put(self._works.keys.queue, state.to_json(), Priority.EVENT)
-            await sleep_ns(self._works.clock, QUIET_NS)
+            state = QueueState(total=total, jobs=self.make_entries(rows[:MAX_PUBLISHED_JOBS]))
+            self._services.bus.put(self._services.keys.queue, state.to_json(), Priority.EVENT)
+            await sleep_ns(self._services.clock, MIN_INTERVAL_NS)
 
-    def decided(self, order: Sequence[Waiting], reasons: Mapping[str, str]) -> None:
-        """Take over for what each job waits, in the queue's order; say it of those that are shown, if it is new."""
+    def take_schedule(self, order: Sequence[WaitingJob], reasons: Mapping[str, str]) -> None:
+        """Take over what each job waits for, in the queue's order; publish changes of the jobs that are shown."""
         self._places = {each.row.id: place for place, each in enumerate(order, 1)}
         self._reasons = reasons
         told: dict[str, str] = {}
-        for each in order[:SHOWN]:
+        for each in order[:MAX_PUBLISHED_JOBS]:
             row = each.row
             reason = told[row.id] = reasons.get(row.id, row.reason)
             if self._told.get(row.id) != reason:
                 steps = len(each.job.steps) * row.repeat
-                progress = queued_progress(row, "queued", reason, self._works.clock.utc(), steps)
-                self._works.bus.put(self._works.keys.job_state(row.id), progress.to_json(), Priority.STATE)
+                progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
+                self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
         self._told = told
 
 
-def queued_progress(row: JobRow, state: JobState, reason: str, utc: str, steps: int) -> Progress:
-    """A job that does not run, as it stands."""
-    return Progress(
+def make_queued_progress(row: JobRecord, state: JobState, reason: str, utc: str, steps: int) -> JobProgress:
+    """The progress of a job that is not running."""
+    return JobProgress(
         job_id=row.id,
         name=row.name,
         actor=row.actor,

@@ -1,6 +1,6 @@
-"""The jobs that wait and run. Each change of a job's state is in the journal before it is on the bus.
+"""The scheduler of waiting and running jobs. Each change of a job's state is in the journal before it is on the bus.
 
-Which of the waiting ones begin is decided in `queue`, how one runs in `job_run`.
+`queue` decides which of the waiting jobs begin; `job_run` executes one.
 """
 
 import asyncio
@@ -12,237 +12,239 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import Declared, Priority, Sample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.coordinator.jobs.job_run import Interrupted, JobRun, Outcome, Works
-from orchestrator.coordinator.jobs.publisher import Board, queued_progress
-from orchestrator.coordinator.jobs.queue import Choice, Waiting, choose, in_order, needs_of, steps_to_run
-from orchestrator.coordinator.journal.journal import HasEnded, JobRow, JournalError
+from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
+from orchestrator.coordinator.jobs.publisher import QueuePublisher, make_queued_progress
+from orchestrator.coordinator.jobs.queue import (
+    Schedule,
+    WaitingJob,
+    choose_jobs,
+    expand_repeats,
+    find_needed_controllers,
+    sort_waiting,
+)
+from orchestrator.coordinator.journal.journal import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.base import UnknownName
-from orchestrator.model.fleet import by_controller
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.job import Job
-from orchestrator.model.messages import Estop, Refusal, StopMode
+from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import parse_utc
-from orchestrator.model.report import ENDED, JobReport, JobState, QueueEntry
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, QueueEntry
 
 P = ParamSpec("P")
 
-TICK_NS = NS_PER_S  # how often the wall clock is looked at while a job waits for a time: it may be set
-LATE = timedelta(seconds=10)  # a coordinator that is back within that has not missed a job's time
-PATIENCE_NS = 20 * NS_PER_US  # a job
-CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be noted
-AGAIN_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
+CLOCK_POLL_NS = NS_PER_S  # period of reading the wall clock, which may be set, while a job waits for a time
+MISSED_AFTER = timedelta(seconds=10)  # a coordinator that is back within this time has not missed a job's start time
+SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
+CLOSE_S = 5.0  # for running jobs to stop, and for their ends to be recorded
+RETRY_NS = 5 * NS_PER_S  # before another try on a journal that could not be written
 
 
-class Runner:
-    """Begins jobs as soon as what they need is free, and changes the queue as people ask."""
+class Scheduler:
+    """Begins jobs as soon as the controllers that they need are free, and changes the queue on request."""
 
-    def __init__(self, works: Works) -> None:
-        self._works = works
-        self._waiting: dict[str, Waiting] = {}
+    def __init__(self, services: JobServices) -> None:
+        self._services = services
+        self._waiting: dict[str, WaitingJob] = {}
         self._needs: dict[str, frozenset[str]] = {}
         self._running: dict[str, JobRun] = {}
-        self._board = Board(works, self._waiting, self._running)
+        self._publisher = QueuePublisher(services, self._waiting, self._running)
         self._trouble = False
         self._wake = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._declared: list[Declared] = []
         self._timed = asyncio.Event()
         self._arranging = asyncio.Lock()
-        works.leases.listen(lambda _: self.wake())
+        services.leases.add_release_listener(lambda _: self.wake_up())
 
     async def start(self) -> None:
-        """Close what an earlier coordinator left running, then begin with the queue. Raises `JournalError`."""
-        works = self._works
-        left: list[tuple[JobRow, Job]] = []
-        for row in await works.runs(works.journal.unended):
-            job = await works.runs(works.journal.job, row.id)
+        """End the jobs that an earlier leader left running, then begin with the queue. Raises `JournalError`."""
+        services = self._services
+        left: list[tuple[JobRecord, Job]] = []
+        for row in await services.execute(services.journal.list_unfinished):
+            job = await services.execute(services.journal.load_job, row.id)
             assert job is not None
             if row.state == "queued":
-                self._waiting[row.id] = Waiting(row, job, row.after)
+                self._waiting[row.id] = WaitingJob(row, job, row.after)
             else:
                 left.append((row, job))
         for row, job in left:
             reason = f"the coordinator ended while the job was {row.state}"
-            await self._end(row, job, self._report_of(row, job), "interrupted", reason, "coordinator")
+            await self._end_job(row, job, self._report_of(row, job), "interrupted", reason, "coordinator")
         for waiting in list(self._waiting.values()):
-            await self._settle_after(waiting)
-        self._declared.append(await works.bus.subscribe(works.keys.estop, self._hear_estop))
-        self._spawn(self._loop)
+            await self._settle_follower(waiting)
+        self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
+        self._spawn(self._schedule_jobs)
         self._spawn(self._watch_times)
-        self.wake()
-        self._board.announce()
+        self.wake_up()
+        self._publisher.schedule_publication()
 
     async def close(self, reason: str) -> None:
-        """End: running jobs are stopped and noted as interrupted."""
+        """End: running jobs are stopped and recorded as interrupted."""
         for declared in self._declared:
             await declared.undeclare()
         runs = list(self._running.values())
-        await self.interrupt(Interrupted("interrupted", reason, "coordinator"))
+        await self.interrupt_jobs(JobInterrupted("interrupted", reason, "coordinator"))
         ends = [run.task for run in runs if run.task is not None]
         if ends:
             await asyncio.wait(ends, timeout=CLOSE_S)
-            # Their ends are noted by tasks of ours.
-            until_ns = self._works.clock.now_ns() + round(CLOSE_S * NS_PER_S)
-            while self._running and self._works.clock.now_ns() < until_ns:
-                await sleep_ns(self._works.clock, NS_PER_MS)
-        self._board.close()
+            # Their ends are recorded by tasks of this scheduler.
+            until_ns = self._services.clock.now_ns() + round(CLOSE_S * NS_PER_S)
+            while self._running and self._services.clock.now_ns() < until_ns:
+                await sleep_ns(self._services.clock, NS_PER_MS)
+        self._publisher.close()
         for task in self._tasks:
             task.cancel()
 
-    def wake(self) -> None:
-        """Something has come free, or the queue has changed."""
+    def wake_up(self) -> None:
+        """Schedule again: a controller has become free, or the queue has changed."""
         self._wake.set()
 
-    # What people ask
+    # Requests of users
 
-    async def enter(self, row: JobRow, job: Job) -> None:
-        """A job was accepted."""
-        waiting = self._waiting[row.id] = Waiting(row, job, row.after)
-        await self._settle_after(waiting)
+    async def enter_job(self, row: JobRecord, job: Job) -> None:
+        """Enter a job that was accepted."""
+        waiting = self._waiting[row.id] = WaitingJob(row, job, row.after)
+        await self._settle_follower(waiting)
         self._timed.set()
-        self.wake()
-        self._board.announce()
+        self.wake_up()
+        self._publisher.schedule_publication()
 
-    async def cancel(self, job_id: str, actor: str) -> Refusal | None:
-        """Cancel a queued or running job."""
+    async def cancel_job(self, job_id: str, actor: str) -> None:
+        """Cancel a queued or running job. Raises `Refusal`, `JournalError`, as all requests here do."""
         run = self._running.get(job_id)
         if run is not None:
-            await run.interrupt(Interrupted("cancelled", f"cancelled by {actor}", actor))
-            return None
+            await run.interrupt_job(JobInterrupted("cancelled", f"cancelled by {actor}", actor))
+            return
         waiting = self._waiting.pop(job_id, None)
         if waiting is None:
-            return await self._refusal(job_id, "not-queued", "try again in a moment")
+            raise await self._make_refusal(job_id, "not-queued", "try again in a moment")
         await self._cancel_waiting(waiting, f"cancelled by {actor}", actor)
-        self.wake()
-        return None
+        self.wake_up()
 
-    async def stop(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
-        """Stop all that runs, and hold all that waits: nothing begins by itself after a stop."""
+    async def stop_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
+        """Stop all running jobs, and hold all waiting ones: nothing begins by itself after a stop."""
         queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
         for job_id in queued:
-            self._held_now(job_id, interrupt.actor)
-        await self.interrupt(interrupt, mode)
-        await self._note_held(queued, interrupt.actor, f"held: {interrupt.reason}")
+            self._mark_held(job_id, interrupt.actor)
+        await self.interrupt_jobs(interrupt, mode)
+        await self._record_hold(queued, interrupt.actor, f"held: {interrupt.reason}")
 
-    async def interrupt(self, interrupt: Interrupted, mode: StopMode = "decelerate") -> None:
-        """Stop all jobs that run, and end them."""
-        await asyncio.gather(*(run.interrupt(interrupt, mode) for run in self._running.values()))
+    async def interrupt_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
+        """Stop and end all running jobs."""
+        await asyncio.gather(*(run.interrupt_job(interrupt, mode) for run in self._running.values()))
 
-    async def hold(self, job_ids: Iterable[str], actor: str) -> Refusal | None:
-        """Keep queued jobs from beginning until they are released."""
+    async def hold_jobs(self, job_ids: Iterable[str], actor: str) -> None:
+        """Hold queued jobs until they are released."""
         for job_id in job_ids:
             if job_id not in self._waiting:
-                return await self._refusal(job_id, "not-queued", "pause it: `tutti job pause`")
+                raise await self._make_refusal(job_id, "not-queued", "pause it: `tutti job pause`")
             if not self._waiting[job_id].row.held_by:
-                self._held_now(job_id, actor)
-                await self._note_held([job_id], actor, f"held by {actor}")
-        return None
+                self._mark_held(job_id, actor)
+                await self._record_hold([job_id], actor, f"held by {actor}")
 
-    async def release(self, job_ids: Iterable[str], actor: str) -> Refusal | None:
-        """Let held jobs begin when it is their turn; without any, all that are held."""
+    async def release_jobs(self, job_ids: Iterable[str], actor: str) -> None:
+        """Release held jobs; without ids, all held jobs."""
         for job_id in list(job_ids) or [each.row.id for each in self._waiting.values() if each.row.held_by]:
             waiting = self._waiting.get(job_id)
             if waiting is None:
-                return await self._refusal(job_id, "not-queued", "one that is paused: `tutti job resume`")
+                raise await self._make_refusal(job_id, "not-queued", "for a paused job: `tutti job resume`")
             if waiting.row.held_by:
-                works = self._works
-                change = works.transition("queued", f"released by {actor}", actor)
-                await works.runs(works.journal.hold, [job_id], "", change)
+                services = self._services
+                change = services.make_transition("queued", f"released by {actor}", actor)
+                await services.execute(services.journal.hold_jobs, [job_id], "", change)
                 waiting.row = waiting.row._replace(held_by="", reason=change.reason)
-                self.wake()
-        return None
+                self.wake_up()
 
-    async def move(self, job_id: str, before: str, actor: str) -> Refusal | None:
-        """Put a queued job before another one, with that one's priority."""
+    async def reorder_job(self, job_id: str, before: str, actor: str) -> None:
+        """Move a queued job before another one, with that one's priority."""
         for each in (job_id, before):
             if each not in self._waiting:
-                return await self._refusal(each, "not-queued", "only what is queued has a place")
+                raise await self._make_refusal(each, "not-queued", "only queued jobs have a place in the queue")
         if job_id == before:
-            return Refusal(code="same-job", text=f"job {job_id} can not stand before itself", remedy="name another")
+            raise Refusal("same-job", f"job {job_id} cannot be moved before itself", "choose another job")
         async with self._arranging:
             mine, other = self._waiting[job_id], self._waiting[before]
-            order = [each for each in in_order(self._waiting) if each is not mine]
+            order = [each for each in sort_waiting(self._waiting) if each is not mine]
             order.insert(order.index(other), mine)
             ranks = sorted(each.row.place for each in order)
             places = {each.row.id: rank for each, rank in zip(order, ranks, strict=True) if each.row.place != rank}
-            works, priority = self._works, other.row.priority
-            change = works.transition("queued", f"put before job {before} by {actor}", actor)
-            await works.runs(works.journal.reorder, job_id, priority, places, change)
+            services, priority = self._services, other.row.priority
+            change = services.make_transition("queued", f"moved before job {before} by {actor}", actor)
+            await services.execute(services.journal.reorder_jobs, job_id, priority, places, change)
             for each in order:
                 each.row = each.row._replace(place=places.get(each.row.id, each.row.place))
             mine.row = mine.row._replace(priority=priority, reason=change.reason)
-        self.wake()
-        self._board.announce()
-        return None
+        self.wake_up()
+        self._publisher.schedule_publication()
 
-    async def pause(self, job_id: str, actor: str, now: bool = False) -> Refusal | None:
-        """Hold a running job when its present step has ended; with `now`, inside a motion step."""
+    async def pause_job(self, job_id: str, actor: str, *, now: bool = False) -> None:
+        """Pause a running job after its current step; with `now`, inside a motion step."""
         run = self._running.get(job_id)
         if run is None:
-            return await self._refusal(job_id, "not-running", "keep a queued one back with `tutti job hold`")
+            raise await self._make_refusal(job_id, "not-running", "to hold a queued job: `tutti job hold`")
         if run.paused_by is None:
-            self._works.log.info(f"to be paused by {actor}", job=job_id)
+            self._services.log.info(f"to be paused by {actor}", job=job_id)
             run.pause(actor)
         if now:
-            await run.brake(actor)
-        return None
+            await run.feed_hold(actor)
 
-    async def resume(self, job_id: str, actor: str) -> Refusal | None:
-        """Go on with a job that is paused, or is to be."""
+    async def resume_job(self, job_id: str, actor: str) -> None:
+        """Resume a job that is paused, or about to be."""
         run = self._running.get(job_id)
         if run is None:
-            remedy = "one that is held: `tutti job release`; one that has ended: `tutti job resume --from-step`"
-            return await self._refusal(job_id, "not-running", remedy)
+            remedy = "for a held job: `tutti job release`; for a finished one: `tutti job retry --from-step`"
+            raise await self._make_refusal(job_id, "not-running", remedy)
         if run.paused_by is None:
-            return Refusal(code="not-paused", text=f"job {job_id} is not paused; it is {run.state}")
+            raise Refusal("not-paused", f"job {job_id} is not paused; it is {run.state}")
         run.resume(actor)
-        return None
 
-    async def _refusal(self, job_id: str, code: str, remedy: str) -> Refusal:
-        """Why a job is not what somebody takes it for."""
-        row = await self._works.runs(self._works.journal.row, job_id)
+    async def _make_refusal(self, job_id: str, code: str, remedy: str) -> Refusal:
+        """The refusal of a request that does not fit the state of the job."""
+        row = await self._services.execute(self._services.journal.load_record, job_id)
         if row is None:
-            return Refusal(code="unknown-job", text=f"no job {job_id}", remedy="see `tutti job ls`")
+            return Refusal("unknown-job", f"no job {job_id}", "see `tutti job ls`")
         state = self._running[job_id].state if job_id in self._running else row.state
-        if state in ENDED:
-            return Refusal(code="ended", text=f"job {job_id} is {state} already")
-        return Refusal(code=code, text=f"job {job_id} is {state}", remedy=remedy)
+        if state in FINISHED_STATES:
+            return Refusal("ended", f"job {job_id} is {state} already")
+        return Refusal(code, f"job {job_id} is {state}", remedy)
 
-    # The loop
+    # Scheduling loop
 
-    async def _loop(self) -> None:
-        works = self._works
-        while not works.throne.over:
+    async def _schedule_jobs(self) -> None:
+        services = self._services
+        while not services.leadership.over:
             await self._wake.wait()
             self._wake.clear()
             if self._trouble:
-                await sleep_ns(works.clock, AGAIN_NS)
+                await sleep_ns(services.clock, RETRY_NS)
                 self._trouble = False
                 self._wake.set()
-            # The longer the queue, the more is decided at once: looking through it takes some microseconds a job.
-            await sleep_ns(works.clock, len(self._waiting) * PATIENCE_NS)
-            choice = self._choose()
-            for each in choice.begin:
-                self._begin(each)
-            self._board.decided(in_order(self._waiting), choice.reasons)
-            if choice.begin:
-                self._board.announce()
+            # A long queue is scheduled less often: a pass takes some microseconds per job.
+            await sleep_ns(services.clock, len(self._waiting) * SCHEDULE_DELAY_PER_JOB_NS)
+            choice = self._make_schedule()
+            for each in choice.ready_jobs:
+                self._begin_job(each)
+            self._publisher.take_schedule(sort_waiting(self._waiting), choice.reasons)
+            if choice.ready_jobs:
+                self._publisher.schedule_publication()
 
-    def _choose(self) -> Choice:
-        busy = {controller: run.words for run in self._running.values() for controller in run.needs}
-        for held in self._works.leases.held:
+    def _make_schedule(self) -> Schedule:
+        busy = {controller: run.description for run in self._running.values() for controller in run.needs}
+        for held in self._services.leases.all_leases:
             if held.holder not in self._running:
-                for controller in by_controller(held.axes):
+                for controller in group_by_controller(held.axes):
                     busy.setdefault(controller, f"in use by {held.actor} ({held.what})")
-        return choose(((each, self._needs_of(each)) for each in in_order(self._waiting)), busy)
+        return choose_jobs(((each, self._find_needs(each)) for each in sort_waiting(self._waiting)), busy)
 
-    def _needs_of(self, waiting: Waiting) -> frozenset[str]:
-        """Kept, because the queue may be long; what the fleet file does not have any more is refused at the start."""
+    def _find_needs(self, waiting: WaitingJob) -> frozenset[str]:
+        """Cached, because the queue may be long; names that the fleet file no longer has are refused at the start."""
         known = self._needs.get(waiting.row.id)
         if known is None:
             row, steps = waiting.row, waiting.job.steps
             try:
-                remaining = steps_to_run(row, waiting.job)[row.from_step :] if row.from_step else steps
-                known = needs_of(self._works.view.fleet, remaining)
+                remaining = expand_repeats(row, waiting.job)[row.from_step :] if row.from_step else steps
+                known = find_needed_controllers(self._services.view.fleet, remaining)
             except UnknownName:
                 known = frozenset[str]()
             self._needs[waiting.row.id] = known
@@ -251,123 +253,125 @@ class Runner:
     def forget_needs(self) -> None:
         """The fleet file has changed."""
         self._needs.clear()
-        self.wake()
+        self.wake_up()
 
-    def _begin(self, waiting: Waiting) -> None:
+    def _begin_job(self, waiting: WaitingJob) -> None:
         row = waiting.row
         del self._waiting[row.id]
-        run = self._running[row.id] = JobRun(self._works, row, waiting.job, self._report_of(row, waiting.job))
+        run = self._running[row.id] = JobRun(self._services, row, waiting.job, self._report_of(row, waiting.job))
         run.needs = self._needs.pop(row.id)
         run.task = asyncio.get_running_loop().create_task(run.run())
-        self._spawn(self._finish, run, waiting)
+        self._spawn(self._finish_job, run, waiting)
 
-    async def _finish(self, run: JobRun, waiting: Waiting) -> None:
-        """Wait for a job's end and note it."""
+    async def _finish_job(self, run: JobRun, waiting: WaitingJob) -> None:
+        """Wait for a job's end and record it."""
         assert run.task is not None
         await asyncio.wait([run.task])
         error = None if run.task.cancelled() else run.task.exception()
         if run.task.cancelled() or error is not None:
-            outcome = run.broken_off(error)
-            await self._works.leases.give_back(run.row.id)
+            outcome = run.make_broken_outcome(error)
+            await self._services.leases.release(run.row.id)
         else:
             outcome = run.task.result()
         if outcome.begun:
-            await self._note_end(run, outcome)
+            await self._record_end(run, outcome)
         else:
             self._waiting[run.row.id] = waiting
             self._trouble = self._trouble or outcome.trouble
-            self._works.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
+            self._services.log.warning(f"job has to wait: {outcome.reason}", job=run.row.id)
         del self._running[run.row.id]
         if not outcome.begun:
-            self._board.decided(in_order(self._waiting), {run.row.id: outcome.reason})
-        self.wake()
-        self._board.announce()
+            self._publisher.take_schedule(sort_waiting(self._waiting), {run.row.id: outcome.reason})
+        self.wake_up()
+        self._publisher.schedule_publication()
 
-    async def _note_end(self, run: JobRun, outcome: Outcome) -> None:
-        """Note an end as soon as the journal can be written. Nothing else begins on its controllers before that."""
+    async def _record_end(self, run: JobRun, outcome: JobOutcome) -> None:
+        """Record an end as soon as the journal can be written. Its controllers stay taken until then."""
         while True:
             try:
-                await self._end(run.row, run.job, outcome.report, outcome.state, outcome.reason, outcome.actor)
+                await self._end_job(run.row, run.job, outcome.report, outcome.state, outcome.reason, outcome.actor)
                 return
-            except HasEnded as error:
-                self._works.log.warning(str(error), job=run.row.id)
+            except JobHasEnded as error:
+                self._services.log.warning(str(error), job=run.row.id)
                 return
             except JournalError as error:
-                self._works.log.warning(f"the end of a job can not be noted yet: {error}", job=run.row.id)
-                await sleep_ns(self._works.clock, AGAIN_NS)
+                self._services.log.warning(f"the end of a job cannot be recorded yet: {error}", job=run.row.id)
+                await sleep_ns(self._services.clock, RETRY_NS)
 
     # Ends
 
-    async def _end(self, row: JobRow, job: Job, report: JobReport, state: JobState, reason: str, actor: str) -> None:
-        """Note the end of a job, and say it. Raises `JournalError`; then nothing is noted, and nothing said."""
-        works = self._works
-        transition = works.transition(state, reason, actor)
-        before = await works.runs(works.journal.transitions, row.id)
+    async def _end_job(
+        self, row: JobRecord, job: Job, report: JobReport, state: JobState, reason: str, actor: str
+    ) -> None:
+        """Record the end of a job, and publish it. Raises `JournalError`; then nothing is recorded or published."""
+        services = self._services
+        transition = services.make_transition(state, reason, actor)
+        before = await services.execute(services.journal.list_transitions, row.id)
         report = report.model_copy(
             update={"state": state, "reason": reason, "ended_utc": transition.utc, "transitions": [*before, transition]}
         )
-        await works.runs(works.journal.change, row.id, transition, report)
+        await services.execute(services.journal.record_transition, row.id, transition, report)
         self._needs.pop(row.id, None)
-        works.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
-        works.bus.put(works.keys.job_report(row.id), report.to_json(), Priority.EVENT)
+        services.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
+        services.bus.put(services.keys.job_report(row.id), report.to_json(), Priority.EVENT)
         steps = len(job.steps) * row.repeat
         done = len([step for step in report.steps if step.state == "done"])
-        progress = queued_progress(row, state, reason, transition.utc, steps).model_copy(
+        progress = make_queued_progress(row, state, reason, transition.utc, steps).model_copy(
             update={
                 "step": row.from_step + max(0, len(report.steps) - 1),
                 "fraction": min(1.0, (row.from_step + done) / steps),
                 "remaining_s": 0.0,
             }
         )
-        works.bus.put(works.keys.job_state(row.id), progress.to_json(), Priority.EVENT)
+        services.bus.put(services.keys.job_state(row.id), progress.to_json(), Priority.EVENT)
         self._spawn(self._settle_followers, row.id)
-        self._board.announce()
+        self._publisher.schedule_publication()
 
     async def _settle_followers(self, job_id: str) -> None:
-        """Free, or end, those that come after a job that has ended."""
+        """Release, or end, the jobs that come after a job that has ended."""
         for waiting in [each for each in self._waiting.values() if each.pending == job_id]:
             while True:
                 try:
-                    await self._settle_after(waiting)
+                    await self._settle_follower(waiting)
                     break
                 except JournalError as error:
-                    self._works.log.warning(f"job has to wait: {error}", job=waiting.row.id)
-                    await sleep_ns(self._works.clock, AGAIN_NS)
+                    self._services.log.warning(f"job has to wait: {error}", job=waiting.row.id)
+                    await sleep_ns(self._services.clock, RETRY_NS)
 
-    async def _settle_after(self, waiting: Waiting) -> None:
-        """Free a job of the one that it comes after, or end it, if that one has ended."""
-        works, before = self._works, waiting.pending
+    async def _settle_follower(self, waiting: WaitingJob) -> None:
+        """Release a job from its predecessor, or end it, if the predecessor has ended."""
+        services, before = self._services, waiting.pending
         if before is None:
             return
-        row = await works.runs(works.journal.row, before)
-        if row is not None and row.state not in ENDED:
+        row = await services.execute(services.journal.load_record, before)
+        if row is not None and row.state not in FINISHED_STATES:
             return
         if row is not None and row.state == "done":
             waiting.pending = None
-            self.wake()
+            self.wake_up()
             return
         if self._waiting.pop(waiting.row.id, None) is None:
             return
-        found = f"is {row.state}: {row.reason}" if row is not None else "is not in the journal any more"
+        found = f"is {row.state}: {row.reason}" if row is not None else "is no longer in the journal"
         await self._cancel_waiting(waiting, f"job {before}, which must be done before, {found}", "coordinator")
 
-    async def _cancel_waiting(self, waiting: Waiting, reason: str, actor: str) -> None:
-        """End a job that has been taken out of the queue; it is back there if that can not be noted."""
+    async def _cancel_waiting(self, waiting: WaitingJob, reason: str, actor: str) -> None:
+        """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
         report = self._report_of(waiting.row, waiting.job)
         try:
-            await self._end(waiting.row, waiting.job, report, "cancelled", reason, actor)
+            await self._end_job(waiting.row, waiting.job, report, "cancelled", reason, actor)
         except JournalError:
             self._waiting[waiting.row.id] = waiting
             raise
 
-    def _report_of(self, row: JobRow, job: Job) -> JobReport:
+    def _report_of(self, row: JobRecord, job: Job) -> JobReport:
         return JobReport(
             job_id=row.id,
             name=row.name,
             actor=row.actor,
             state=row.state,
             reason=row.reason,
-            epoch=self._works.throne.epoch,
+            epoch=self._services.leadership.epoch,
             submitted_utc=row.submitted_utc,
             max_start_skew_ns=job.max_start_skew,
             repeat=row.repeat,
@@ -378,10 +382,10 @@ class Runner:
     # Times
 
     async def _watch_times(self) -> None:
-        """Let jobs become due when their time has come; what was missed is run or skipped, as its terms say."""
-        works = self._works
-        while not works.throne.over:
-            now = parse_utc(works.clock.utc())
+        """Mark jobs as due when their start time has come; missed ones are run or skipped, as their terms say."""
+        services = self._services
+        while not services.leadership.over:
+            now = parse_utc(services.clock.utc())
             left = timedelta.max
             for each in list(self._waiting.values()):
                 if each.row.due or each.row.at_utc is None:
@@ -389,64 +393,70 @@ class Runner:
                 at = parse_utc(each.row.at_utc)
                 if at <= now:
                     try:
-                        await self._come_due(each, now - at)
+                        await self._mark_due(each, now - at)
                     except JournalError as error:
-                        works.log.warning(f"job has to wait: {error}", job=each.row.id)
-                        left = min(left, timedelta(seconds=AGAIN_NS / NS_PER_S))
+                        services.log.warning(f"job has to wait: {error}", job=each.row.id)
+                        left = min(left, timedelta(seconds=RETRY_NS / NS_PER_S))
                 else:
                     left = min(left, at - now)
             if left == timedelta.max:
                 await self._timed.wait()
                 self._timed.clear()
             else:
-                await sleep_ns(works.clock, min(TICK_NS, round(left / timedelta(microseconds=1)) * NS_PER_US))
+                await sleep_ns(services.clock, min(CLOCK_POLL_NS, round(left / timedelta(microseconds=1)) * NS_PER_US))
 
-    async def _come_due(self, waiting: Waiting, late: timedelta) -> None:
-        works, row = self._works, waiting.row
-        if late > LATE and row.missed == "skip":
+    async def _mark_due(self, waiting: WaitingJob, late: timedelta) -> None:
+        services, row = self._services, waiting.row
+        if late > MISSED_AFTER and row.missed == "skip":
             if self._waiting.pop(row.id, None) is not None:
-                await self._cancel_waiting(waiting, f"missed: no coordinator was there at {row.at_utc}", "coordinator")
+                await self._cancel_waiting(waiting, f"missed: no leader was active at {row.at_utc}", "coordinator")
             return
-        reason = f"{row.at_utc} has come" if late <= LATE else f"begins late: no coordinator was there at {row.at_utc}"
-        change = works.transition("queued", reason, "coordinator")
-        await works.runs(works.journal.come_due, row.id, change)
+        reason = (
+            f"start time {row.at_utc} has come"
+            if late <= MISSED_AFTER
+            else f"begins late: no leader was active at {row.at_utc}"
+        )
+        change = services.make_transition("queued", reason, "coordinator")
+        await services.execute(services.journal.mark_due, row.id, change)
         waiting.row = waiting.row._replace(due=True, reason=reason)
-        self.wake()
+        self.wake_up()
 
     # Holding
 
-    def _held_now(self, job_id: str, actor: str) -> None:
+    def _mark_held(self, job_id: str, actor: str) -> None:
         waiting = self._waiting[job_id]
         waiting.row = waiting.row._replace(held_by=actor)
 
-    async def _note_held(self, job_ids: list[str], actor: str, reason: str) -> None:
-        works = self._works
+    async def _record_hold(self, job_ids: list[str], actor: str, reason: str) -> None:
+        services = self._services
         if job_ids:
-            await works.runs(works.journal.hold, job_ids, actor, works.transition("queued", reason, actor))
-            self.wake()
+            await services.execute(
+                services.journal.hold_jobs, job_ids, actor, services.make_transition("queued", reason, actor)
+            )
+            self.wake_up()
 
-    def _hear_estop(self, sample: Sample) -> None:
-        """Nothing begins by itself after an e-stop, when it is reset: neither jobs nor steps."""
+    def _receive_estop(self, sample: Sample) -> None:
+        """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
         try:
-            estop = Estop.model_validate_json(sample.payload)
+            estop = EstopMessage.model_validate_json(sample.payload)
             actor, why = estop.actor, f": {estop.reason}" if estop.reason else ""
         except ValidationError:
             actor, why = "an e-stop", ""
         reason = f"e-stop by {actor}{why}"
         for run in self._running.values():
-            run.give_up(Interrupted("aborted", reason, actor))
+            run.abandon(JobInterrupted("aborted", reason, actor))
         queued = [each.row.id for each in self._waiting.values() if not each.row.held_by]
         for job_id in queued:
-            self._held_now(job_id, actor)
-        self._spawn(self._note_held, queued, actor, f"held: {reason}")
+            self._mark_held(job_id, actor)
+        self._spawn(self._record_hold, queued, actor, f"held: {reason}")
 
-    def entries(self, rows: Iterable[JobRow]) -> list[QueueEntry]:
+    def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:
         """Jobs as a list shows them."""
-        return self._board.entries(rows)
+        return self._publisher.make_entries(rows)
 
-    def entry(self, row: JobRow) -> QueueEntry:
+    def make_entry(self, row: JobRecord) -> QueueEntry:
         """A job as a list shows it."""
-        return self._board.entry(row)
+        return self._publisher.make_entry(row)
 
     # Inside
 
@@ -455,7 +465,7 @@ class Runner:
             try:
                 await function(*values, **names)
             except JournalError as error:
-                self._works.log.warning(str(error))
+                self._services.log.warning(str(error))
 
         task = asyncio.get_running_loop().create_task(work())
         self._tasks.add(task)

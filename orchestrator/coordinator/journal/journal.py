@@ -1,6 +1,6 @@
-"""The journal: what was accepted, decided and done, in SQLite, safe on disk before anybody is told.
+"""The journal: what was accepted, decided and done, in SQLite, on disk before it is reported anywhere.
 
-`Journal` is synchronous. Who calls it chooses where it runs (`orchestrator.clock.executor`).
+`Journal` is synchronous; the caller chooses where it runs (`orchestrator.clock.executor`).
 """
 
 import sqlite3
@@ -13,16 +13,16 @@ from pydantic import ValidationError
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.base import Model
 from orchestrator.model.job import Job
-from orchestrator.model.queue import Terms
-from orchestrator.model.report import ENDED, JobReport, JobState, StepRecording, Transition
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition, StepRecording
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Model)
-RECORDED_JOBS = 100  # the newest; recordings are large, and reports are what lasts
+MAX_RECORDED_JOBS = 100  # the newest jobs only: recordings are large, and the reports are kept
 
 
 class JournalError(Exception):
-    """The journal can not be used; nothing in it has been changed. Names the file and the remedy."""
+    """The journal cannot be used; nothing in it has been changed. Names the file and the remedy."""
 
     def __init__(self, text: str, remedy: str = "") -> None:
         super().__init__(f"{text}; {remedy}" if remedy else text)
@@ -30,19 +30,19 @@ class JournalError(Exception):
         self.remedy = remedy
 
 
-class HasEnded(JournalError):
-    """The job has ended already: another coordinator has ended it. What is in the journal stands."""
+class JobHasEnded(JournalError):
+    """The job has been ended by another coordinator. The journal stays as it is."""
 
 
-class Overtaken(HasEnded):
-    """Another coordinator reigns. Its jobs are none of ours."""
+class EpochOvertaken(JobHasEnded):
+    """Another coordinator leads; this one must not change its jobs."""
 
 
-class JobRow(NamedTuple):
-    """A job as the journal has it.
+class JobRecord(NamedTuple):
+    """A job in the journal.
 
-    after: the job that must be done before. due: it has no time, or its time has come. held_by: who holds it, if it is
-    held. origin: the job that it does again, from step `from_step` on.
+    after: the job that must be done before. due: it has no start time, or that time has come. held_by: originator of
+    the hold, if it is held. origin: the job that it re-runs, from step `from_step` on.
     """
 
     id: str
@@ -63,8 +63,8 @@ class JobRow(NamedTuple):
     from_step: int
 
     @property
-    def terms(self) -> Terms:
-        return Terms(
+    def terms(self) -> QueueTerms:
+        return QueueTerms(
             priority=self.priority,
             repeat=self.repeat,
             after=self.after,
@@ -78,18 +78,18 @@ _COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
     " origin, from_step"
 )
-_UNENDED = tuple(sorted(set(get_args(JobState)) - ENDED))
+_UNFINISHED_STATES = tuple(sorted(set(get_args(JobState)) - FINISHED_STATES))
 
 
-class Again(NamedTuple):
-    """What a new job does again: the old one's id, and the step that it begins with."""
+class RetryOrigin(NamedTuple):
+    """What a new job re-runs: the old job's id, and the step that it begins with."""
 
     origin: str
     from_step: int
 
 
-class Reserved(NamedTuple):
-    """Axes that somebody has taken for work at the machine."""
+class Reservation(NamedTuple):
+    """Axes that are reserved for work at the machine."""
 
     holder: str
     actor: str
@@ -99,16 +99,16 @@ class Reserved(NamedTuple):
 
 
 class Journal:
-    """One fleet's journal. Every method that changes something has committed to disk when it returns."""
+    """The journal of one fleet. Every method that changes something has committed to disk when it returns."""
 
     def __init__(self, path: str | Path) -> None:
-        """Open or make the journal at `path` (`:memory:` for tests). Raises `JournalError`."""
+        """Open or create the journal at `path` (`:memory:` for tests). Raises `JournalError`."""
         self._path = str(path)
         try:
             if self._path != ":memory:":
                 Path(path).parent.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
-            version = self._checked()
+            version = self._check_file()
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
             self._db.execute("PRAGMA foreign_keys=ON")
@@ -117,18 +117,18 @@ class Journal:
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
         except (sqlite3.Error, OSError) as error:
-            raise _unusable(self._path, error) from None
+            raise _unusable_error(self._path, error) from None
 
-    def _checked(self) -> int:
-        """The version of the file, 0 for a new one. Raises `JournalError`, `sqlite3.Error` for one that is not to be
-        written to."""
+    def _check_file(self) -> int:
+        """The schema version of the file, 0 for a new one. Raises `JournalError`, and `sqlite3.Error` if the file
+        must not be written."""
         version = self._db.execute("PRAGMA user_version").fetchone()[0]
         if version > VERSION:
             text = f"{self._path}: schema {version} is newer than this Tutti's {VERSION}"
             raise JournalError(text, "use a newer Tutti")
         if not version and self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            text = f"{self._path}: the file is a data base, but no journal"
-            raise JournalError(text, "give the journal another place")
+            text = f"{self._path}: the file is a database, but not a journal of Tutti"
+            raise JournalError(text, "choose another path for the journal")
         damage = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
         if damage != "ok":
             raise sqlite3.DatabaseError(damage)
@@ -137,38 +137,44 @@ class Journal:
     def close(self) -> None:
         self._db.close()
 
-    # Reign
+    # Leadership
 
     def take_epoch(self, seen: int) -> int:
-        """The next epoch: above the last one here and above `seen`, taken in one transaction."""
+        """Take the next epoch: above the last one here and above `seen`, in one transaction."""
         with self._transaction():
-            epoch = max(int(self._meta("epoch", "0")), seen) + 1
-            self._set_meta("epoch", str(epoch))
+            epoch = max(int(self._read_meta("epoch", "0")), seen) + 1
+            self._write_meta("epoch", str(epoch))
         return epoch
 
-    def require_reign(self, epoch: int) -> None:
-        """Raises `Overtaken` when an epoch after `epoch` was taken."""
-        rows = self._read("SELECT value FROM meta WHERE key = 'epoch'")
+    def require_latest_epoch(self, epoch: int) -> None:
+        """Raises `Overtaken` if an epoch after `epoch` has been taken."""
+        rows = self._select_rows("SELECT value FROM meta WHERE key = 'epoch'")
         if rows and int(rows[0][0]) > epoch:
-            raise Overtaken(f"epoch {epoch} is over: a coordinator reigns with epoch {rows[0][0]}")
+            raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {rows[0][0]}")
 
-    def scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
-        """(scale id, origin in host ns): that of the last reign on this kernel, else a new one from `now_ns`."""
+    def fleet_time_scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
+        """(scale id, origin in host ns): those of the last leader on this kernel, else a new scale from `now_ns`."""
         with self._transaction():
-            if self._meta("kernel_id", "") == kernel_id:
-                return self._meta("scale_id", ""), int(self._meta("origin_host_ns", "0"))
-            self._set_meta("kernel_id", kernel_id)
-            self._set_meta("scale_id", scale_id)
-            self._set_meta("origin_host_ns", str(now_ns))
+            if self._read_meta("kernel_id", "") == kernel_id:
+                return self._read_meta("scale_id", ""), int(self._read_meta("origin_host_ns", "0"))
+            self._write_meta("kernel_id", kernel_id)
+            self._write_meta("scale_id", scale_id)
+            self._write_meta("origin_host_ns", str(now_ns))
         return scale_id, now_ns
 
     # Jobs
 
-    def accept(
-        self, job_id: str, client_key: str, job: Job, utc: str, terms: Terms | None = None, again: Again | None = None
+    def accept_job(
+        self,
+        job_id: str,
+        client_key: str,
+        job: Job,
+        utc: str,
+        terms: QueueTerms | None = None,
+        again: RetryOrigin | None = None,
     ) -> tuple[str, bool]:
-        """Take a job: (its id, whether it is new). The same `client_key` gives the job that it gave before."""
-        terms = terms or Terms()
+        """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
+        terms = terms or QueueTerms()
         with self._transaction():
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
             if row is not None:
@@ -200,120 +206,120 @@ class Journal:
             )
         return job_id, True
 
-    def knows(self, client_key: str) -> bool:
-        """Whether a job was taken with that key."""
-        return bool(self._read("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
+    def has_client_key(self, client_key: str) -> bool:
+        """Whether a job was accepted with that key."""
+        return bool(self._select_rows("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
 
-    def change(self, job_id: str, transition: Transition, report: JobReport | None = None) -> None:
-        """Note a change of a job's state, with its report if it has ended. Raises `HasEnded`, `JournalError`."""
+    def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
+        """Record a change of a job's state, with its report if it has ended. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
-            self._note(job_id, transition)
+            self._insert_transition(job_id, transition)
             if report is not None:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
 
-    def hold(self, job_ids: Iterable[str], held_by: str, transition: Transition) -> None:
-        """Note who holds jobs; nobody: empty. Does nothing to those that are not queued any more."""
+    def hold_jobs(self, job_ids: Iterable[str], held_by: str, transition: JobTransition) -> None:
+        """Record the originator of a hold; empty: released. Jobs that are not queued any more are not changed."""
         with self._transaction():
             for job_id in job_ids:
                 if self._is_queued(job_id):
                     self._db.execute("UPDATE jobs SET held_by = ? WHERE id = ?", (held_by, job_id))
-                    self._note(job_id, transition)
+                    self._insert_transition(job_id, transition)
 
-    def come_due(self, job_id: str, transition: Transition) -> None:
-        """Note that the time of a job has come. Does nothing to one that is not queued any more."""
+    def mark_due(self, job_id: str, transition: JobTransition) -> None:
+        """Record that the start time of a job has come. A job that is not queued any more is not changed."""
         with self._transaction():
             if self._is_queued(job_id):
                 self._db.execute("UPDATE jobs SET due = 1 WHERE id = ?", (job_id,))
-                self._note(job_id, transition)
+                self._insert_transition(job_id, transition)
 
-    def reorder(self, job_id: str, priority: int, places: Mapping[str, int], transition: Transition) -> None:
-        """Give jobs other places, and `job_id` another priority. Does nothing if that is not queued any more."""
+    def reorder_jobs(self, job_id: str, priority: int, places: Mapping[str, int], transition: JobTransition) -> None:
+        """Change the places of jobs, and the priority of `job_id`. Nothing changes if that is not queued any more."""
         with self._transaction():
             if self._is_queued(job_id):
                 moved = [(place, each) for each, place in places.items()]
                 self._db.executemany("UPDATE jobs SET place = ? WHERE id = ?", moved)
                 self._db.execute("UPDATE jobs SET priority = ? WHERE id = ?", (priority, job_id))
-                self._note(job_id, transition)
+                self._insert_transition(job_id, transition)
 
     def _require_unended(self, job_id: str) -> None:
         row = self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone()
-        if row is not None and row[0] in ENDED:
-            raise HasEnded(f"job {job_id} is {row[0]} already: another coordinator has ended it")
+        if row is not None and row[0] in FINISHED_STATES:
+            raise JobHasEnded(f"job {job_id} is {row[0]} already: another coordinator has ended it")
 
     def _is_queued(self, job_id: str) -> bool:
         return self._db.execute("SELECT state FROM jobs WHERE id = ?", (job_id,)).fetchone() == ("queued",)
 
-    def _note(self, job_id: str, transition: Transition) -> None:
+    def _insert_transition(self, job_id: str, transition: JobTransition) -> None:
         state, reason = transition.state, transition.reason
         values = (job_id, state, reason, transition.actor, transition.utc, transition.fleet_ns)
         self._db.execute("INSERT INTO transitions VALUES (?, ?, ?, ?, ?, ?)", values)
         self._db.execute("UPDATE jobs SET state = ?, reason = ? WHERE id = ?", (state, reason, job_id))
 
-    def decide(self, job_id: str, step: int, epoch: int, t0_fleet_ns: int, members: str, utc: str) -> None:
-        """Note that all members have promised: from here on the step may move. Raises `HasEnded`, `JournalError`."""
+    def record_decision(self, job_id: str, step: int, epoch: int, t0_fleet_ns: int, members: str, utc: str) -> None:
+        """Record that all members have promised: from here on the step may move. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute(
                 "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?)", (job_id, step, epoch, t0_fleet_ns, members, utc)
             )
 
-    def withdraw(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
-        """Take a decision back: nobody has begun, and nobody will at that T0. Raises `HasEnded`, `JournalError`."""
+    def withdraw_decision(self, job_id: str, step: int, t0_fleet_ns: int) -> None:
+        """Withdraw a decision: no member has started, and none will at that T0. Raises `HasEnded`, `JournalError`."""
         with self._transaction():
             self._require_unended(job_id)
             self._db.execute(
                 "DELETE FROM decisions WHERE job_id = ? AND step = ? AND t0_fleet_ns = ?", (job_id, step, t0_fleet_ns)
             )
 
-    def decisions(self, job_id: str) -> list[tuple[int, int]]:
+    def list_decisions(self, job_id: str) -> list[tuple[int, int]]:
         """(step, T0 in fleet ns) of every decision to move in a job."""
-        rows = self._read("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))
+        rows = self._select_rows("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))
         return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
 
-    def job(self, job_id: str) -> Job | None:
-        return self._body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
+    def load_job(self, job_id: str) -> Job | None:
+        return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
 
-    def row(self, job_id: str) -> JobRow | None:
-        found = self._rows("WHERE id = ?", (job_id,))
+    def load_record(self, job_id: str) -> JobRecord | None:
+        found = self._select_records("WHERE id = ?", (job_id,))
         return found[0] if found else None
 
-    def unended(self) -> list[JobRow]:
+    def list_unfinished(self) -> list[JobRecord]:
         """Jobs that are queued or were running, in the order in which they are to begin."""
-        marks = ", ".join("?" * len(_UNENDED))
-        return self._rows(f"WHERE state IN ({marks}) ORDER BY priority DESC, place", _UNENDED)
+        marks = ", ".join("?" * len(_UNFINISHED_STATES))
+        return self._select_records(f"WHERE state IN ({marks}) ORDER BY priority DESC, place", _UNFINISHED_STATES)
 
-    def find(
+    def find_jobs(
         self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
-    ) -> tuple[list[JobRow], int]:
-        """The newest jobs, newest first, and how many there are: in `state`, with `name` in their name, submitted at
+    ) -> tuple[list[JobRecord], int]:
+        """The newest jobs, newest first, and the total number: in `state`, with `name` in their name, submitted at
         `since_utc` or later."""
         where = "WHERE (? IS NULL OR state = ?) AND instr(name, ?) > 0 AND submitted_utc >= ?"
         if not name:
             where = where.replace("instr(name, ?) > 0", "? = ''")
         values = (state, state, name, since_utc)
-        total = self._read(f"SELECT count(*) FROM jobs {where}", values)[0][0]
-        return self._rows(f"{where} ORDER BY number DESC LIMIT ?", (*values, limit)), total
+        total = self._select_rows(f"SELECT count(*) FROM jobs {where}", values)[0][0]
+        return self._select_records(f"{where} ORDER BY number DESC LIMIT ?", (*values, limit)), total
 
-    def transitions(self, job_id: str) -> list[Transition]:
-        rows = self._read(
+    def list_transitions(self, job_id: str) -> list[JobTransition]:
+        rows = self._select_rows(
             "SELECT state, reason, actor, utc, fleet_ns FROM transitions WHERE job_id = ? ORDER BY rowid", (job_id,)
         )
-        return [Transition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
+        return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
 
-    def report(self, job_id: str) -> JobReport | None:
-        return self._body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
+    def load_report(self, job_id: str) -> JobReport | None:
+        return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
 
-    def prune(self, before_utc: str, keep: int) -> int:
-        """Forget jobs that were submitted before `before_utc` and have ended, but none of the newest `keep`, and none
-        that an unended one comes after. How many. Their client keys are forgotten with them."""
-        marks = ", ".join("?" * len(_UNENDED))
+    def prune_jobs(self, before_utc: str, keep: int) -> int:
+        """Delete jobs that were submitted before `before_utc` and have ended, except the newest `keep`, and except
+        those that a queued job comes after. Returns how many. Their client keys are deleted too."""
+        marks = ", ".join("?" * len(_UNFINISHED_STATES))
         old = (
             f"SELECT id FROM jobs WHERE submitted_utc < ? AND state NOT IN ({marks})"
             " AND number NOT IN (SELECT number FROM jobs ORDER BY number DESC LIMIT ?)"
             f" AND id NOT IN (SELECT after_job FROM jobs WHERE after_job IS NOT NULL AND state IN ({marks}))"
         )
-        values = (before_utc, *_UNENDED, keep, *_UNENDED)
+        values = (before_utc, *_UNFINISHED_STATES, keep, *_UNFINISHED_STATES)
         with self._transaction():
             self._db.execute(f"CREATE TEMP TABLE old AS {old}", values)
             for table in ("recordings", "reports", "decisions", "transitions"):
@@ -322,8 +328,8 @@ class Journal:
             self._db.execute("DROP TABLE old")
         return gone
 
-    def record(self, job_id: str, recording: StepRecording) -> None:
-        """Keep what a step has done, and let go of what old jobs have."""
+    def store_recording(self, job_id: str, recording: StepRecording) -> None:
+        """Store the recording of a step, and delete recordings of old jobs."""
         with self._transaction():
             self._db.execute(
                 "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
@@ -331,56 +337,58 @@ class Journal:
             )
             self._db.execute(
                 "DELETE FROM recordings WHERE job_id NOT IN (SELECT id FROM jobs ORDER BY number DESC LIMIT ?)",
-                (RECORDED_JOBS,),
+                (MAX_RECORDED_JOBS,),
             )
 
-    def recording(self, job_id: str, step: int) -> StepRecording | None:
+    def load_recording(self, job_id: str, step: int) -> StepRecording | None:
         values = (job_id, step)
-        return self._body(StepRecording, "SELECT body FROM recordings WHERE job_id = ? AND step = ?", values)
+        return self._select_body(StepRecording, "SELECT body FROM recordings WHERE job_id = ? AND step = ?", values)
 
-    # Hands
+    # Manual control
 
-    def reserve(self, holder: str, actor: str, what: str, axes: Iterable[str], until_utc: str) -> None:
-        """Note axes that somebody has taken for work at the machine."""
+    def store_reservation(self, holder: str, actor: str, what: str, axes: Iterable[str], until_utc: str) -> None:
+        """Record axes that are reserved for work at the machine."""
         with self._transaction():
             values = (holder, actor, what, " ".join(axes), until_utc)
-            self._db.execute("INSERT OR REPLACE INTO hands VALUES (?, ?, ?, ?, ?)", values)
+            self._db.execute("INSERT OR REPLACE INTO reservations VALUES (?, ?, ?, ?, ?)", values)
 
-    def unreserve(self, holder: str) -> None:
-        """Note that they are given back."""
+    def delete_reservation(self, holder: str) -> None:
+        """Record that they have been released."""
         with self._transaction():
-            self._db.execute("DELETE FROM hands WHERE holder = ?", (holder,))
+            self._db.execute("DELETE FROM reservations WHERE holder = ?", (holder,))
 
-    def reserved(self) -> list[Reserved]:
-        rows = self._read("SELECT holder, actor, what, axes, until_utc FROM hands ORDER BY rowid")
-        return [Reserved(holder, actor, what, tuple(axes.split()), until) for holder, actor, what, axes, until in rows]
+    def list_reservations(self) -> list[Reservation]:
+        rows = self._select_rows("SELECT holder, actor, what, axes, until_utc FROM reservations ORDER BY rowid")
+        return [
+            Reservation(holder, actor, what, tuple(axes.split()), until) for holder, actor, what, axes, until in rows
+        ]
 
     # Inside
 
-    def _rows(self, clause: str, values: tuple[Any, ...]) -> list[JobRow]:
-        rows = self._read(f"SELECT {_COLUMNS} FROM jobs {clause}", values)
-        return [JobRow(*row)._replace(due=bool(row[12])) for row in rows]
+    def _select_records(self, clause: str, values: tuple[Any, ...]) -> list[JobRecord]:
+        rows = self._select_rows(f"SELECT {_COLUMNS} FROM jobs {clause}", values)
+        return [JobRecord(*row)._replace(due=bool(row[12])) for row in rows]
 
-    def _body(self, model: type[M], query: str, values: tuple[Any, ...]) -> M | None:
-        rows = self._read(query, values)
+    def _select_body(self, model: type[M], query: str, values: tuple[Any, ...]) -> M | None:
+        rows = self._select_rows(query, values)
         try:
             return model.model_validate_json(rows[0][0]) if rows else None
         except ValidationError as error:
             what = error.errors()[0]["msg"]
-            text = f"{self._path}: the {model.__name__} of job {values[0]} can not be read: {what}"
-            raise JournalError(text, "was it written by another Tutti?") from None
+            text = f"{self._path}: the {model.__name__} of job {values[0]} cannot be read: {what}"
+            raise JournalError(text, "was it written by another version of Tutti?") from None
 
-    def _read(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
+    def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:
             return self._db.execute(query, values).fetchall()
         except sqlite3.Error as error:
-            raise _unusable(self._path, error) from None
+            raise _unusable_error(self._path, error) from None
 
-    def _meta(self, key: str, default: str) -> str:
+    def _read_meta(self, key: str, default: str) -> str:
         row = self._db.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return default if row is None else row[0]
 
-    def _set_meta(self, key: str, value: str) -> None:
+    def _write_meta(self, key: str, value: str) -> None:
         self._db.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
 
     def _transaction(self) -> "_Transaction":
@@ -388,7 +396,7 @@ class Journal:
 
 
 class _Transaction:
-    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; one of the data base becomes a `JournalError`."""
+    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; a database error becomes a `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
@@ -398,7 +406,7 @@ class _Transaction:
         try:
             self._db.execute("BEGIN IMMEDIATE")
         except sqlite3.Error as error:
-            raise _unusable(self._path, error) from None
+            raise _unusable_error(self._path, error) from None
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
@@ -406,16 +414,16 @@ class _Transaction:
                 self._db.execute("COMMIT")
         except sqlite3.Error as failure:
             error = failure
-        # A full disk rolls back by itself.
+        # SQLite has rolled back already when the disk is full.
         if self._db.in_transaction:
             self._db.execute("ROLLBACK")
         if isinstance(error, sqlite3.Error):
-            raise _unusable(self._path, error) from None
+            raise _unusable_error(self._path, error) from None
 
 
-def _unusable(path: str, error: Exception) -> JournalError:
-    """What is wrong with the journal at `path`, and what to do."""
+def _unusable_error(path: str, error: Exception) -> JournalError:
+    """Describe what is wrong with the journal at `path`, and the remedy."""
     return JournalError(
-        f"{path}: the journal can not be used ({error})",
-        "make room on its disk, mend it, or move it aside to begin a new one",
+        f"{path}: the journal cannot be used ({error})",
+        "free space on its disk, repair it, or move it away to start with a new one",
     )

@@ -1,6 +1,6 @@
-"""The tables of the journal, and the way there from the tables of older versions."""
+"""The tables of the journal, and the migrations from older versions."""
 
-VERSION = 3
+VERSION = 4
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -27,7 +27,7 @@ CREATE TABLE decisions (
 ) STRICT;
 CREATE TABLE reports (job_id TEXT PRIMARY KEY REFERENCES jobs (id), body TEXT NOT NULL) STRICT;
 """
-# What leads from the schema of a version to that of the next; a new journal goes through all of them.
+# The statements that lead from each version to the next; a new journal runs all of them.
 MIGRATIONS = {
     1: """
 CREATE TABLE recordings (
@@ -51,5 +51,17 @@ CREATE TABLE hands (
   holder TEXT PRIMARY KEY, actor TEXT NOT NULL, what TEXT NOT NULL, axes TEXT NOT NULL, until_utc TEXT NOT NULL
 ) STRICT;
 CREATE INDEX decisions_job ON decisions (job_id);
+""",
+    3: """
+ALTER TABLE hands RENAME TO reservations;
+UPDATE jobs SET state = 'paused' WHERE state = 'holding';
+UPDATE transitions SET state = 'paused' WHERE state = 'holding';
+UPDATE reports SET body = replace(replace(replace(replace(replace(replace(body,
+  '"state":"holding"', '"state":"paused"'),
+  '"holds":', '"feed_holds":'),
+  '"by_line":', '"by_trigger_line":'),
+  '"name":"slip"', '"name":"tick-residual"'),
+  '"code":"held"', '"code":"feed-hold"'),
+  '"code":"deposed"', '"code":"leadership-lost"');
 """,
 }

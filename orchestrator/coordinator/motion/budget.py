@@ -6,20 +6,20 @@ from math import ceil
 from typing import Literal
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.model.messages import Proposal, Term
+from orchestrator.model.messages import BudgetTerm, Proposal
 from orchestrator.model.profile import Profile
-from orchestrator.model.report import Budget, MemberBudget, Predicted, Skew
-from orchestrator.model.state import Interval
+from orchestrator.model.report import MemberBudget, PredictedSkew, SkewInterval, SyncBudget
+from orchestrator.model.state import TimeInterval
 
-SLOWEST = 0.1  # of the peak velocity: below it a distance from the path is no time
+SLOWEST_FRACTION = 0.1  # of the peak velocity: below it, a distance from the path is not expressed as time
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
-    """Where a member starts about T0, term by term. edge: the part of it that all who wait for one line have in common,
-    from when to when about T0 the line's edge is; None for a member that does not."""
+class StartWindow:
+    """The window of a member's start around T0, term by term. edge: the part of it that all members on one trigger
+    line share, i.e. the window of the line's edge around T0; None for a member that does not wait for a line."""
 
-    terms: list[Term]
+    terms: list[BudgetTerm]
     edge: tuple[int, int] | None = None
 
     @property
@@ -31,14 +31,20 @@ class Window:
         return sum(term.latest_ns for term in self.terms)
 
 
-def make_budget(windows: Mapping[str, Window], allowed_ns: int) -> Budget:
-    """The guaranteed spread of starts about T0, and the member and term that make it worst."""
+def sum_terms(terms: Iterable[BudgetTerm]) -> tuple[int, int]:
+    """The earliest and the latest instant around T0 that the terms allow, ns."""
+    each = list(terms)
+    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
+
+
+def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudget:
+    """The guaranteed spread of starts around T0, and the member and term with the largest share."""
     members = {
         name: MemberBudget(terms=each.terms, earliest_ns=each.earliest_ns, latest_ns=each.latest_ns)
         for name, each in windows.items()
     }
-    # The axes of one controller that start together differ by no more than its own window; and it does not matter
-    # when the edge of a line comes that all of them wait for.
+    # The axes of one controller that start together differ by at most its own window; the instant of a trigger line's
+    # edge does not matter if all wait for it.
     edges = {each.edge for each in windows.values()}
     common = next(iter(edges)) if len(edges) == 1 else None
     predicted_ns = max(m.latest_ns for m in members.values()) - min(m.earliest_ns for m in members.values())
@@ -46,34 +52,34 @@ def make_budget(windows: Mapping[str, Window], allowed_ns: int) -> Budget:
         predicted_ns -= common[1] - common[0]
     worst = max(members, key=lambda name: members[name].latest_ns - members[name].earliest_ns)
     term = max(members[worst].terms, key=lambda each: each.latest_ns - each.earliest_ns, default=None)
-    return Budget(
+    return SyncBudget(
         predicted_ns=predicted_ns,
         allowed_ns=allowed_ns,
         worst_member=worst,
         worst_term=term.name if term else "none",
-        by_line=common is not None,
+        by_trigger_line=common is not None,
         members=members,
     )
 
 
-def skew(instants: Iterable[Interval], budget: Budget | None = None) -> Skew | None:
-    """The spread of instants that are known as intervals; None for fewer than one.
+def measure_skew(instants: Iterable[TimeInterval], budget: SyncBudget | None = None) -> SkewInterval | None:
+    """The spread of instants that are known as intervals; None without instants.
 
-    budget: of starts by one line, whose instant need not be known: they are together as well as was predicted.
+    budget: for starts by one trigger line, whose instant need not be known: they are as close as predicted.
     """
     spans = list(instants)
     if not spans:
         return None
     at_most_ns = max(span.latest_ns for span in spans) - min(span.earliest_ns for span in spans)
     at_least_ns = max(0, max(span.earliest_ns for span in spans) - min(span.latest_ns for span in spans))
-    if budget is not None and budget.by_line:
+    if budget is not None and budget.by_trigger_line:
         at_most_ns = max(at_least_ns, min(at_most_ns, budget.predicted_ns))
-    # One axis alone has no skew, however badly its start is known.
-    return Skew(at_least_ns=at_least_ns, at_most_ns=at_most_ns if len(spans) > 1 else 0)
+    # A single axis has no skew, however uncertain its start is.
+    return SkewInterval(at_least_ns=at_least_ns, at_most_ns=at_most_ns if len(spans) > 1 else 0)
 
 
-def judge(measured: Skew | None, budget: Budget | None) -> Literal["green", "amber", "red", "none"]:
-    """green: surely within what the job allows; red: surely not; amber: the evidence does not decide."""
+def judge_skew(measured: SkewInterval | None, budget: SyncBudget | None) -> Literal["green", "amber", "red", "none"]:
+    """green: certainly within the allowed skew; red: certainly not; amber: the evidence does not decide."""
     if measured is None or budget is None:
         return "none"
     if measured.at_most_ns <= budget.allowed_ns:
@@ -82,9 +88,9 @@ def judge(measured: Skew | None, budget: Budget | None) -> Literal["green", "amb
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """An axis from its start to its end, beside its plan, in ns: how much it is planned longer, how far its end and its
-    way may be off that for its own reasons."""
+class AxisDeviation:
+    """The deviation of an axis from its plan between start and end, in ns: how much longer it is planned, and by how
+    much its end and its path may deviate from that for reasons of its own."""
 
     member: str
     longer_ns: float
@@ -92,35 +98,39 @@ class Way:
     path_off_ns: float
 
 
-def make_ways(
+def make_deviations(
     proposals: Mapping[str, Proposal], profiles: Mapping[str, Mapping[str, Profile]], duration_s: float
-) -> list[Way]:
-    """The axes of a step. profiles: by member and axis."""
-    found: list[Way] = []
+) -> list[AxisDeviation]:
+    """The deviations of all axes of a step. profiles: by member and axis."""
+    found: list[AxisDeviation] = []
     for member, proposal in proposals.items():
         for axis, took_s in proposal.durations_s.items():
             profile = profiles[member][axis]
             if not profile.peak_velocity:
                 continue
             crystal_ns = took_s * proposal.clock_ppm * 1e3
-            # Where it is slowest, a tenth of its peak, a distance is most of time.
-            beside_ns = proposal.path_error_counts.get(axis, 0.0) / (SLOWEST * profile.peak_velocity) * NS_PER_S
+            # At a tenth of the peak velocity a given distance corresponds to the longest time.
+            path_off_ns = (
+                proposal.path_error_counts.get(axis, 0.0) / (SLOWEST_FRACTION * profile.peak_velocity) * NS_PER_S
+            )
             longer_ns = (took_s - duration_s) * NS_PER_S
-            found.append(Way(member, longer_ns, crystal_ns + proposal.tick_ns, crystal_ns + beside_ns))
+            found.append(AxisDeviation(member, longer_ns, crystal_ns + proposal.tick_ns, crystal_ns + path_off_ns))
     return found
 
 
-def predict_end(budget: Budget, ways: list[Way], allowed_ns: int | None) -> Predicted | None:
-    """How far the ends are apart at the most: the starts, and what each axis adds on its way."""
-    return _predict(budget, [(way.member, way.longer_ns, way.end_off_ns) for way in ways], allowed_ns)
+def predict_end(budget: SyncBudget, ways: list[AxisDeviation], allowed_ns: int | None) -> PredictedSkew | None:
+    """The guaranteed spread of the ends: that of the starts, and what each axis adds until its end."""
+    return _predict_skew(budget, [(way.member, way.longer_ns, way.end_off_ns) for way in ways], allowed_ns)
 
 
-def predict_path(budget: Budget, ways: list[Way], allowed_ns: int | None) -> Predicted | None:
-    """How far the axes are apart in time on their way at the most, where each has a tenth of its peak velocity."""
-    return _predict(budget, [(way.member, 0.0, way.path_off_ns) for way in ways], allowed_ns)
+def predict_path(budget: SyncBudget, ways: list[AxisDeviation], allowed_ns: int | None) -> PredictedSkew | None:
+    """The guaranteed time offset between axes along their path, at a tenth of the peak velocity of each or more."""
+    return _predict_skew(budget, [(way.member, 0.0, way.path_off_ns) for way in ways], allowed_ns)
 
 
-def _predict(budget: Budget, ways: list[tuple[str, float, float]], allowed_ns: int | None) -> Predicted | None:
+def _predict_skew(
+    budget: SyncBudget, ways: list[tuple[str, float, float]], allowed_ns: int | None
+) -> PredictedSkew | None:
     spans = {
         index: (
             budget.members[member].earliest_ns + shift_ns - off_ns,
@@ -133,4 +143,4 @@ def _predict(budget: Budget, ways: list[tuple[str, float, float]], allowed_ns: i
         return None
     worst = max(spans, key=lambda index: spans[index][1] - spans[index][0])
     predicted_ns = max(late for _, late in spans.values()) - min(early for early, _ in spans.values())
-    return Predicted(predicted_ns=ceil(predicted_ns), allowed_ns=allowed_ns, worst_member=ways[worst][0])
+    return PredictedSkew(predicted_ns=ceil(predicted_ns), allowed_ns=allowed_ns, worst_member=ways[worst][0])

@@ -1,9 +1,10 @@
-"""How quickly a fleet really arms, promises and goes, beside what its members declare.
+"""Estimation of lead times: how long a fleet really takes to arm, promise and release, compared with what its
+members declare.
 
-What a member declares of its arming holds on a slow network too. A fleet that has done the same some times before is
-known better, and its jobs need not begin as late as the worst case would have them; or they have to begin later, where
-an adapter host has more to do at a time than each of its members thinks. Whoever is late after all costs a second
-arming, with the lead that was declared, and what it took counts from then on.
+A declared arming time also holds on a slow network. A fleet that has run some steps is known better, and its jobs
+need not start as late as in the worst case; or they have to start later, where an adapter host has more to do at a
+time than its members assume. A member that is late nevertheless costs a second arming with the declared lead time,
+and its duration counts from then on.
 """
 
 from collections import deque
@@ -11,90 +12,101 @@ from collections.abc import Mapping
 
 from orchestrator.clock.base import NS_PER_MS
 
-KNOWN = 16  # steps from which on what was seen counts
-KEPT = 64  # of the newest steps: of the next ones, one in so many is slower than all of these, and armed again
-ROOM = 1.1  # over the slowest arming and the slowest release: the two seldom come together
-GO_ROOM = 1.25  # the same behind the decision, where arming again begins only when all are unloaded
-# Times what promises have just taken: go is an exchange more, but what holds a machine up once mostly lets go soon.
-SLOW_GO = 1.5
-MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until it is known how long they take
-EACH_NS = 20 * NS_PER_MS  # and at least so much for each member: one adapter host may have all of them
-LEAST_MARGIN_NS = 10 * NS_PER_MS  # more than those that were seen may take as long; who is late is armed again
+KNOWN_AFTER = 16  # number of steps after which measured durations count
+KEPT_STEPS = 64  # newest steps that are kept; on average one in this many is slower than all of them, and armed again
+ARM_FACTOR = 1.1  # factor on the slowest arming and the slowest release: the two rarely coincide
+GO_FACTOR = 1.25  # the same after the decision, where arming again begins only when all are unloaded
+# Factor on the duration of the promises just made: `go` is one more exchange, but a short disturbance of the machine is
+# usually over by then.
+SLOW_GO_FACTOR = 1.5
+MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until their durations are known
+MARGIN_PER_MEMBER_NS = 20 * NS_PER_MS  # minimum for each member: one adapter host may have all of them
+# a lower bound, because later steps may take longer than those measured; a late member is armed again
+MIN_MARGIN_NS = 10 * NS_PER_MS
 
 
-class _Seen:
-    """How long the newest of something have taken."""
+class _DurationHistory:
+    """The durations of the newest repetitions of one activity."""
 
     def __init__(self) -> None:
-        self._kept: deque[float] = deque(maxlen=KEPT)
+        self._kept: deque[float] = deque(maxlen=KEPT_STEPS)
 
     @property
-    def known(self) -> bool:
-        return len(self._kept) >= KNOWN
+    def is_known(self) -> bool:
+        return len(self._kept) >= KNOWN_AFTER
 
-    def add(self, took: float) -> None:
+    def add_duration(self, took: float) -> None:
         self._kept.append(took)
 
     @property
-    def slowest(self) -> float:
+    def longest(self) -> float:
         return max(self._kept, default=0.0)
 
-    def allow(self, declared: float, known: bool = True, room: float = ROOM) -> float:
-        """What the next one is given. Until they are known, or if that is not to count: what is declared, or the
-        slowest."""
-        return room * self.slowest if known and self.known else max(declared, self.slowest)
+    def allowed_time(self, declared: float, *, use_known: bool = True, factor: float = ARM_FACTOR) -> float:
+        """The time to allow for the next repetition: the declared time until durations are known, or if `use_known`
+        is false, and at least the slowest one."""
+        return factor * self.longest if use_known and self.is_known else max(declared, self.longest)
 
 
-class Pace:
-    """What was seen of this fleet's steps since its coordinator reigns."""
+class LeadTimeEstimator:
+    """Measured durations of this fleet's steps under the present leader.
+
+    last_leads_ns: the lead time of the last step of the same members.
+    """
 
     def __init__(self) -> None:
-        self._shares: dict[str, _Seen] = {}
-        self._releases_ns = _Seen()
-        self._goes_ns = _Seen()
+        self._shares: dict[str, _DurationHistory] = {}
+        self._releases_ns = _DurationHistory()
+        self._goes_ns = _DurationHistory()
+        self.last_leads_ns: dict[frozenset[str], int] = {}
 
-    def armed(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
-        """Members have been armed: what each has declared, and from the order to its answer."""
+    def record_arming(self, declared_ns: Mapping[str, int], took_ns: Mapping[str, int]) -> None:
+        """Record an arming. declared_ns: by member; took_ns: from the request to its answer."""
         for member, took in took_ns.items():
             if declared_ns[member] > 0:
-                self._shares.setdefault(member, _Seen()).add(took / declared_ns[member])
+                self._shares.setdefault(member, _DurationHistory()).add_duration(took / declared_ns[member])
 
-    def released(self, took_ns: int, go_ns: int) -> None:
-        """To the last answer to `go`: from armed, and from the last promise."""
-        self._releases_ns.add(took_ns)
-        self._goes_ns.add(go_ns)
+    def record_release(self, took_ns: int, go_ns: int) -> None:
+        """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""
+        self._releases_ns.add_duration(took_ns)
+        self._goes_ns.add_duration(go_ns)
 
-    def late(self, promise_ns: int, members: int) -> None:
-        """Promises of so many members have taken so long that there was no time left for go. Who takes far longer than
-        others was stopped, and says nothing of the next time."""
-        self._releases_ns.add(min(promise_ns + self._goes_ns.slowest, 2 * self.margin_ns(members)))
+    def record_late_promise(self, promise_ns: int, members: int) -> None:
+        """Record that promises took so long that no time was left for `go`. A member that takes far longer than
+        others was suspended, which says nothing about the next step."""
+        self._releases_ns.add_duration(min(promise_ns + self._goes_ns.longest, 2 * self.margin_ns(members)))
 
-    def late_to_go(self, members: int) -> None:
-        """Somebody has not gone in the time that is given for it: the next is given more."""
-        before_ns, given_ns = self._goes_ns.slowest, self.go_ns(members)
-        self._goes_ns.add(given_ns if self._goes_ns.known else GO_ROOM * given_ns)
-        self._releases_ns.add(self._releases_ns.slowest + self._goes_ns.slowest - before_ns)
+    def record_late_go(self, members: int) -> None:
+        """Record that a member was late to `go`: the next one gets more time."""
+        before_ns, given_ns = self._goes_ns.longest, self.go_ns(members)
+        self._goes_ns.add_duration(given_ns if self._goes_ns.is_known else GO_FACTOR * given_ns)
+        self._releases_ns.add_duration(self._releases_ns.longest + self._goes_ns.longest - before_ns)
 
-    def share(self, member: str, known: bool = True) -> float:
-        """The part of its declared arming that a member needs; at least 1 until it has been armed `KNOWN` times, or if
-        what is `known` is not to count."""
+    def arming_share(self, member: str, *, use_known: bool = True) -> float:
+        """The fraction of its declared arming time that a member needs; at least 1 until it has been armed `KNOWN`
+        times, or if `use_known` is false."""
         seen = self._shares.get(member)
-        return 1.0 if seen is None else seen.allow(1.0, known)
+        return 1.0 if seen is None else seen.allowed_time(1.0, use_known=use_known)
 
     def go_ns(self, members: int, promise_ns: int = 0) -> int:
-        """What decision and release alone are given, of so many members. promise_ns: how long their promises have taken
-        just now: a machine that was slow a moment ago still is."""
-        return round(max(self._goes_ns.allow(_unknown_ns(members) / 2, room=GO_ROOM), SLOW_GO * promise_ns))
+        """The time to allow for decision and release. members: their number. promise_ns: how long their promises
+        have just taken; a machine that was slow a moment ago probably still is."""
+        return round(
+            max(
+                self._goes_ns.allowed_time(_default_margin_ns(members) / 2, factor=GO_FACTOR),
+                SLOW_GO_FACTOR * promise_ns,
+            )
+        )
 
-    def margin_ns(self, members: int, known: bool = True) -> int:
-        """What promise, decision and release are given, of so many members."""
-        if not known or not self._goes_ns.known:
-            half_ns = _unknown_ns(members) / 2
+    def margin_ns(self, members: int, *, use_known: bool = True) -> int:
+        """The time to allow for promise, decision and release. members: their number."""
+        if not use_known or not self._goes_ns.is_known:
+            half_ns = _default_margin_ns(members) / 2
             declared_ns = half_ns + max(half_ns, self.go_ns(members))
-            return round(self._releases_ns.allow(declared_ns, known))
-        # Before the decision there has to be that much left for go.
-        return max(LEAST_MARGIN_NS, round(self._releases_ns.allow(0) + (1 - 1 / GO_ROOM) * self.go_ns(members)))
+            return round(self._releases_ns.allowed_time(declared_ns, use_known=use_known))
+        # Before the decision, at least this much must be left for `go`.
+        return max(MIN_MARGIN_NS, round(self._releases_ns.allowed_time(0) + (1 - 1 / GO_FACTOR) * self.go_ns(members)))
 
 
-def _unknown_ns(members: int) -> int:
-    return max(MARGIN_NS, members * EACH_NS)
+def _default_margin_ns(members: int) -> int:
+    return max(MARGIN_NS, members * MARGIN_PER_MEMBER_NS)

@@ -1,297 +1,395 @@
-"""What members can make of a plan, and how they start together: asked, agreed, and budgeted (design, section 6.2)."""
+"""Negotiation of a start: what the members can make of a plan, how they start together, and the budget of that."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.coordinator.fleet.requests import Members
-from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.motion.alignment import Grid, closest
-from orchestrator.coordinator.motion.budget import Window, make_budget, make_ways, predict_end, predict_path
-from orchestrator.coordinator.motion.lead_time import Pace
-from orchestrator.coordinator.motion.moving import LineStart, Moving
-from orchestrator.coordinator.motion.targets import Refuse, refuse_if_any
+from orchestrator.coordinator.motion.alignment import TickGrid, find_closest_ticks
+from orchestrator.coordinator.motion.budget import (
+    StartWindow,
+    make_budget,
+    make_deviations,
+    predict_end,
+    predict_path,
+    sum_terms,
+)
+from orchestrator.coordinator.motion.planning import PlannedStep
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.targets import ResolvedMove
+from orchestrator.coordinator.motion.trigger import TriggerStart
 from orchestrator.model.duration import format_ns
-from orchestrator.model.fleet import Wire
-from orchestrator.model.job import Job, Move
-from orchestrator.model.messages import Armed, Proposal, Propose, StartWay, Term
-from orchestrator.model.report import Predicted
-from orchestrator.model.state import Costs
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import TriggerWire
+from orchestrator.model.messages import (
+    ArmedReply,
+    BudgetTerm,
+    Proposal,
+    ProposeRequest,
+    StartOptions,
+    raise_first_refusal,
+)
+from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.profile import Profile
+from orchestrator.model.report import PredictedSkew, SyncBudget
+from orchestrator.model.state import StepCosts
+from orchestrator.plan.step import Plan
 
 ROUNDS = 3
-END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where a job says nothing
-# A member that ends so much later, the twentieth of a servo tick, is not worth another round. Steps of the ramps in an
-# SMC-4000 make moves of a tenth of a second last longer by half of it.
-SOON_S = 50e-6
-SLIP = 0.02  # of a tick: T0 comes sooner by as many as the members' crystals keep so close together
-SPARE_LEAD = 2  # times what is known to be needed
-LEAD_ROOM = 1.25  # over what the same members needed last time: a slower step in between is no reason to ask all again
-READING_NS = 500 * NS_PER_MS  # the last reading of a controller's clock may be as old when arming begins
+END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where the job does not state it
+# A member that ends this much later, a twentieth of a servo tick, does not need another round. Quantised ramps of an
+# SMC-4000 make moves of a tenth of a second longer by half of it.
+SAME_DURATION_S = 50e-6
+MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
+SPARE_LEAD_FACTOR = 2  # on the known need
+LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
+READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
+MAX_TOLERANCE_NS = 50 * NS_PER_MS
+"""A start that is later than promised by more than this was not delayed by load: its host was suspended."""
 
 
-class Proposing:
-    """Asks the members of a step."""
+@dataclass(slots=True)
+class StartAgreement:
+    """What the members of a step have agreed on.
 
-    def __init__(self, view: FleetView, members: Members) -> None:
-        self._view = view
-        self._members = members
-        self.pace = Pace()
-        self._leads_ns: dict[frozenset[str], int] = {}
+    line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
+    hold. advance_ns: how much earlier than armed the step starts; within tick_residual_ns a whole number of the ticks
+    of every member. aligned: T0 is an instant at which ticks coincide, and is not advanced.
+    """
 
-    async def agree(self, moving: Moving, job: Job, step: Move) -> None:
-        """Settle plan, lead, budget, and the line that starts the step, if one does. Raises `Refuse`.
+    plan: Plan
+    line: TriggerStart | None = None
+    proposals: dict[str, Proposal] = field(default_factory=dict[str, Proposal])
+    lead_ns: int = 0
+    budget: SyncBudget | None = None
+    advance_ns: int = 0
+    tick_residual_ns: int = 0
+    aligned: bool = False
+    _shares: "tuple[Plan, dict[str, dict[str, Profile]]] | None" = None
 
-        A line is taken where it makes the predicted start skew smaller, or where the step asks for one.
+    @property
+    def movers(self) -> list[str]:
+        """The members that have axes in the step."""
+        return list(dict.fromkeys(controller_of(axis) for axis in self.plan.profiles))
+
+    @property
+    def members(self) -> list[str]:
+        """The movers, and the controller that drives their trigger line."""
+        return self.movers if self.line is None else list(dict.fromkeys([self.line.driver, *self.movers]))
+
+    @property
+    def disarm_ns(self) -> int:
+        """How long before T0 the step can last be withdrawn for certain, as the members declare it: their controllers
+        decide this long before their start, so a fast link does not shorten it."""
+        return max((each.costs.disarm_ns for each in self.proposals.values() if each.costs is not None), default=0)
+
+    @property
+    def start_tolerance_ns(self) -> int:
+        """How much later than promised a member may start within what the job allows: a slightly late start is better
+        than none. 0 where a trigger line starts members, which rely on its promise."""
+        if self.budget is None or self.line is not None:
+            return 0
+        # A single axis cannot be late relative to another.
+        return MAX_TOLERANCE_NS if len(self.plan.profiles) == 1 else min(self.budget.margin_ns, MAX_TOLERANCE_NS)
+
+    @property
+    def can_advance(self) -> bool:
+        """Whether T0 can be brought forward after arming."""
+        return self.line is None and not self.aligned and all(each.can_advance for each in self.proposals.values())
+
+    def profiles(self, member: str) -> dict[str, Profile]:
+        """The member's share of the plan, by its own axis names."""
+        if self._shares is None or self._shares[0] is not self.plan:
+            shares: dict[str, dict[str, Profile]] = {}
+            for axis, profile in self.plan.profiles.items():
+                controller, name = split_name(axis)
+                shares.setdefault(controller, {})[name] = profile
+            self._shares = self.plan, shares
+        return self._shares[1].get(member, {})
+
+    def shift_ns(self, member: str) -> int:
+        """How much later than T0 the member's own T0 is."""
+        return 0 if self.line is None or self.line.covers(member) else self.line.shift_ns
+
+    def choose_start(self, from_ns: int, within_ns: int = 0) -> int:
+        """The instant from `from_ns` on, fleet time, at which the members' ticks coincide best."""
+        grids = [
+            TickGrid(each.tick_at_fleet_ns, each.tick_ns)
+            for member, each in self.proposals.items()
+            if each.tick_at_fleet_ns is not None and self.profiles(member)
+        ]
+        return find_closest_ticks(grids, from_ns, within_ns)[0]
+
+    def start_window(self, member: str, terms: list[BudgetTerm]) -> StartWindow:
+        """The window of the member's start around T0, from the terms that it states."""
+        shift_ns, residual_ns, line = self.shift_ns(member), self.tick_residual_ns, self.line
+        if residual_ns and self.proposals[member].tick_ns:
+            terms = [*terms, BudgetTerm(name="tick-residual", earliest_ns=-residual_ns, latest_ns=residual_ns)]
+        if shift_ns:
+            terms = [BudgetTerm(name="line", earliest_ns=shift_ns, latest_ns=shift_ns), *terms]
+        return StartWindow(terms, None if line is None or member not in line.waiters else line.edge)
+
+
+class StartNegotiation:
+    """Negotiates the start of one planned step with its members."""
+
+    def __init__(self, services: MotionServices, planned: PlannedStep) -> None:
+        self._view = services.fleet.view
+        self._requests = services.fleet.requests
+        self._estimator = services.estimator
+        self._planned = planned
+        self._request = planned.request
+        self._early_ns = self._request.max_end_skew_ns or END_SKEW_NS
+
+    async def agree(self) -> StartAgreement:
+        """Agree on plan, lead, budget, and the trigger line, if one starts the step. Raises `Refusal`.
+
+        A trigger line is used where it reduces the predicted start skew, or where the step demands one.
         """
-        moving.early_ns = step.max_end_skew or job.max_end_skew or END_SKEW_NS
-        lines = [line for wire in self._view.fleet.wiring if (line := await self._line(wire, moving)) is not None]
-        if step.start == "line" and not lines:
-            raise Refuse(
+        plan, by_line = self._planned.plan, self._request.move.start == "line"
+        first = StartAgreement(plan, aligned=bool(self._request.move.align))
+        lines = [line for wire in self._view.fleet.wiring if (line := await self._find_line(wire, first)) is not None]
+        if by_line and not lines:
+            raise Refusal(
                 "start-class",
-                f"no line is wired to an input that {' or '.join(moving.movers)} can wait for",
-                "say `wiring` in the fleet file, or leave `start` to the fleet",
+                f"no trigger line is wired to an input that {' or '.join(first.movers)} can wait for",
+                "add `wiring` to the fleet file, or remove `start` from the step",
             )
-        tries = [replace(moving, line=line) for line in ([] if step.start == "line" else [None]) + lines]
-        refused: Refuse | None = None
-        agreed: Moving | None = None
-        for each in tries if len(moving.plan.profiles) > 1 or step.start == "line" else tries[:1]:
+        candidates = [replace(first, line=line) for line in ([] if by_line else [None]) + lines]
+        refused: Refusal | None = None
+        agreed: StartAgreement | None = None
+        for candidate in candidates if len(plan.profiles) > 1 or by_line else candidates[:1]:
             try:
-                await self._rounds(each, job, step)
-            except Refuse as refusal:
+                await self._negotiate_rounds(candidate)
+            except Refusal as refusal:
                 refused = refused or refusal
                 continue
-            if agreed is None or _predicted_ns(each) < _predicted_ns(agreed):
-                agreed = each
+            if agreed is None or _predicted_ns(candidate) < _predicted_ns(agreed):
+                agreed = candidate
         if agreed is None:
             assert refused is not None
             raise refused
-        moving.plan, moving.line, moving.proposals = agreed.plan, agreed.line, agreed.proposals
-        moving.lead_ns, moving.budget = agreed.lead_ns, agreed.budget
+        return agreed
 
-    def start(self, moving: Moving, from_ns: int, within_ns: int) -> int:
-        """The instant from `from_ns` on, fleet time, at which the members' ticks fall closest together."""
-        grids = [
-            Grid(each.tick_at_fleet_ns, each.tick_ns)
-            for member, each in moving.proposals.items()
-            if each.tick_at_fleet_ns is not None and moving.profiles(member)
-        ]
-        return closest(grids, from_ns, within_ns)[0]
+    async def renegotiate(self, agreement: StartAgreement, growth: int | None) -> None:
+        """Get new proposals for another lead time, over which clock bounds must hold. Raises `Refusal`.
 
-    async def again(self, moving: Moving, step: Move, growth: int | None) -> None:
-        """Once more for another lead, that clocks have to hold for. growth: so many times the declared one; None: as
-        for the first time."""
-        moving.lead_ns = self._lead_ns(moving) if growth is None else growth * self._lead_ns(moving, known=False)
-        await self._ask(moving, step)
+        growth: factor on the declared lead time; None: the lead time as for the first arming.
+        """
+        lead_ns = self._lead_ns(agreement) if growth is None else growth * self._needed_ns(agreement, use_known=False)
+        agreement.lead_ns = lead_ns
+        await self._propose(agreement)
 
-    def judge(self, moving: Moving, said: Mapping[str, Proposal] | Mapping[str, Armed], job: Job, step: Move) -> None:
-        """The budget by what the members say now. Raises `Refuse` if it is not within what the job allows."""
-        movers = set(moving.movers)
-        windows = {name: _window(moving, name, each.terms) for name, each in said.items() if name in movers}
-        moving.budget = budget = make_budget(windows, step.max_start_skew or job.max_start_skew)
-        if budget.predicted_ns > budget.allowed_ns and len(moving.plan.profiles) > 1:
-            raise Refuse(
+    def judge(self, agreement: StartAgreement, stated: Mapping[str, Proposal] | Mapping[str, ArmedReply]) -> None:
+        """Compute the budget from what the members state now. Raises `Refusal` if the job does not allow it."""
+        request, movers = self._request, set(agreement.movers)
+        windows = {name: agreement.start_window(name, each.terms) for name, each in stated.items() if name in movers}
+        agreement.budget = budget = make_budget(windows, request.max_start_skew_ns)
+        if budget.predicted_ns > budget.allowed_ns and len(agreement.plan.profiles) > 1:
+            raise Refusal(
                 "start-skew",
                 f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
                 f"{budget.worst_member}, by its {budget.worst_term}",
                 "allow more with `max_start_skew`, or improve that member's link",
                 budget.worst_member,
             )
-        ways = make_ways(
-            moving.proposals, {member: moving.profiles(member) for member in movers}, moving.plan.duration_s
-        )
-        if step.sync != "none":
-            end = predict_end(budget, ways, step.max_end_skew or job.max_end_skew)
-            path = predict_path(budget, ways, step.max_path_skew or job.max_path_skew)
-            moving.budget = budget.model_copy(update={"end": end, "path": path})
-            _require("end", end)
-            _require("path", path)
+        profiles = {member: agreement.profiles(member) for member in movers}
+        deviations = make_deviations(agreement.proposals, profiles, agreement.plan.duration_s)
+        if request.move.sync != "none":
+            end = predict_end(budget, deviations, request.max_end_skew_ns)
+            path = predict_path(budget, deviations, request.max_path_skew_ns)
+            agreement.budget = budget.model_copy(update={"end": end, "path": path})
+            _require_allowed("end", end)
+            _require_allowed("path", path)
 
-    def settle(self, moving: Moving, job: Job, step: Move, gone_ns: int) -> None:
-        """Bring T0 forward by what arming and promises have been given and not taken, as far as the budget allows.
-        gone_ns: fleet time by which all should have gone."""
-        moving.sooner_ns, moving.slip_ns = self._sooner(moving, gone_ns)
-        if moving.slip_ns:
-            budget = moving.budget
+    def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
+        """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
+        budget allows."""
+        agreement.advance_ns, agreement.tick_residual_ns = _find_advance(agreement, spare_ns)
+        if agreement.tick_residual_ns:
+            budget = agreement.budget
             try:
-                self.judge(moving, moving.armed, job, step)
-            except Refuse:
-                # As it was armed it is within the budget.
-                moving.sooner_ns, moving.slip_ns, moving.budget = 0, 0, budget
-        moving.t0_fleet_ns -= moving.sooner_ns
+                self.judge(agreement, armed)
+            except Refusal:
+                # Without the advance it is within the budget.
+                agreement.advance_ns, agreement.tick_residual_ns, agreement.budget = 0, 0, budget
 
-    # Inside
+    def start_options(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, StartOptions]:
+        """The start options of each of `members`."""
+        lead_ns, line, wish = agreement.lead_ns + READING_NS, agreement.line, self._request.move.start
+        common = {"brake_s": _longest_braking_s(self._planned.resolved, agreement.plan), "early_ns": self._early_ns}
+        start_class = "auto" if wish == "line" else wish
+        return {
+            member: (
+                line.start_options(member, lead_ns)
+                if line is not None and line.covers(member)
+                else StartOptions(start_class=start_class, lead_ns=lead_ns)
+            ).model_copy(update=common)
+            for member in members
+        }
 
-    def _sooner(self, moving: Moving, gone_ns: int) -> tuple[int, int]:
-        """How much sooner it can begin, and how far that is at the most from a whole number of anybody's ticks: by
-        whole ticks nothing of what is armed changes. Nothing where a member can not, or where a line starts them."""
-        proposals = moving.proposals.values()
-        if not self._begins_sooner(moving):
-            return 0, 0
-        spare_ns = max(0, moving.t0_fleet_ns - gone_ns - moving.disarm_ns)
-        ticks_ns = [each.tick_ns for each in proposals if each.tick_ns]
-        if not ticks_ns:
-            return spare_ns, 0
-        shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
-        tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
-        count = min(spare_ns // tick_ns, SLIP * tick_ns / off_ns if off_ns else inf) // 1
-        # Instants are whole nanoseconds.
-        return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
+    # Rounds
 
-    async def _line(self, wire: Wire, moving: Moving) -> LineStart | None:
-        """The line by `wire`, if it leads to members that can wait for it and its driver is there."""
-        # Who drives a line can not wait for it, too.
-        movers = set(moving.movers) - {wire.from_.partition(".")[0]}
+    async def _find_line(self, wire: TriggerWire, agreement: StartAgreement) -> TriggerStart | None:
+        """The trigger line of `wire`, if it leads to members that can wait for it and its driver is online."""
+        # A controller that drives a line cannot wait for it as well.
+        movers = set(agreement.movers) - {controller_of(wire.from_)}
         try:
             waiters = {
                 member: name
-                for member, _, name in (end.partition(".") for end in wire.to)
-                if member in movers and "line" in (await self._view.info(member)).start_classes
+                for member, name in map(split_name, wire.to)
+                if member in movers and "line" in (await self._view.query_info(member)).start_classes
             }
-            line = LineStart(wire, waiters)
-            there = waiters and (await self._view.fresh(line.driver)).mode != "offline"
+            line = TriggerStart(wire, waiters)
+            online = waiters and (await self._view.query_state(line.driver)).mode != "offline"
         except BusError:
             return None
-        return line if there else None
+        return line if online else None
 
-    async def _rounds(self, moving: Moving, job: Job, step: Move) -> None:
-        """At most three rounds: T becomes the longest answer, and the lead what arming needs, until all can make it."""
+    async def _negotiate_rounds(self, agreement: StartAgreement) -> None:
+        """At most three rounds: the duration becomes the longest answer, and the lead time what arming needs, until
+        all members can meet both. Raises `Refusal`."""
         durations: dict[str, float] = {}
-        # What the same members needed last time mostly saves a round; what they promise for longer holds for less.
-        members = frozenset(moving.movers)
-        moving.lead_ns = moving.lead_ns or round(LEAD_ROOM * self._leads_ns.get(members, 0))
+        # The lead time of the same members' last step usually saves a round; bounds over a longer one would be wider.
+        movers = frozenset(agreement.movers)
+        agreement.lead_ns = agreement.lead_ns or round(LEAD_FACTOR * self._estimator.last_leads_ns.get(movers, 0))
+        synchronised = self._request.move.sync != "none"
         for _ in range(ROUNDS):
-            await self._ask(moving, step)
+            await self._propose(agreement)
             durations = {
-                f"{member}.{axis}": took_s
-                for member, proposal in moving.proposals.items()
-                for axis, took_s in proposal.durations_s.items()
+                f"{member}.{axis}": duration_s
+                for member, proposal in agreement.proposals.items()
+                for axis, duration_s in proposal.durations_s.items()
             }
-            longest_s, lead_ns = max(durations.values()), self._lead_ns(moving)
-            in_time = step.sync == "none" or longest_s <= moving.plan.duration_s + SOON_S
-            if in_time and lead_ns <= moving.lead_ns:
-                moving.lead_ns = lead_ns
+            longest_s, lead_ns = max(durations.values()), self._lead_ns(agreement)
+            fits = not synchronised or longest_s <= agreement.plan.duration_s + SAME_DURATION_S
+            if fits and lead_ns <= agreement.lead_ns:
+                agreement.lead_ns = lead_ns
                 break
-            moving.lead_ns = max(lead_ns, moving.lead_ns)
-            if not in_time:
-                moving.plan = moving.plan.stretched(longest_s)
-        if step.sync != "none":
-            worst = max(durations, key=lambda axis: abs(durations[axis] - moving.plan.duration_s))
-            off_ns = round(abs(durations[worst] - moving.plan.duration_s) * NS_PER_S)
-            allowed_ns = moving.early_ns
-            if off_ns > allowed_ns:
-                raise Refuse(
-                    "end-skew",
-                    f"axis {worst} would end {format_ns(off_ns)} off the plan; allowed are {format_ns(allowed_ns)}",
-                    "move further or faster, or allow more with `max_end_skew`",
-                    worst.partition(".")[0],
-                )
-        self._leads_ns[members] = moving.lead_ns
-        self.judge(moving, moving.proposals, job, step)
+            agreement.lead_ns = max(lead_ns, agreement.lead_ns)
+            if not fits:
+                agreement.plan = agreement.plan.stretched(longest_s)
+        if synchronised:
+            self._require_same_duration(durations, agreement.plan.duration_s)
+        self._estimator.last_leads_ns[movers] = agreement.lead_ns
+        self.judge(agreement, agreement.proposals)
 
-    def _lead_ns(self, moving: Moving, known: bool = True) -> int:
-        """How far ahead of the arming T0 must be, by what the members say, and what is known of them. Of those on one
-        line, who takes longer than it says waits for the others. Where T0 is brought forward, what is not taken costs
-        nothing, and who is slow for once need not be armed again."""
-        if known and self._begins_sooner(moving):
-            return min(SPARE_LEAD * self._needed_ns(moving, True), self._needed_ns(moving, False))
-        return self._needed_ns(moving, known)
+    def _require_same_duration(self, durations: Mapping[str, float], planned_s: float) -> None:
+        worst = max(durations, key=lambda axis: abs(durations[axis] - planned_s))
+        off_ns = round(abs(durations[worst] - planned_s) * NS_PER_S)
+        if off_ns > self._early_ns:
+            raise Refusal(
+                "end-skew",
+                f"axis {worst} would end {format_ns(off_ns)} off the plan; {format_ns(self._early_ns)} are allowed",
+                "move further or faster, or allow more with `max_end_skew`",
+                controller_of(worst),
+            )
 
-    def _begins_sooner(self, moving: Moving) -> bool:
-        """Whether all can be told to begin sooner than they were armed for."""
-        return moving.line is None and not moving.aligned and all(each.sooner for each in moving.proposals.values())
-
-    def _needed_ns(self, moving: Moving, known: bool) -> int:
-        margin_ns = self.pace.margin_ns(len(moving.proposals), known)
-        lines: dict[str, list[tuple[Costs, float]]] = {}
-        for member, proposal in moving.proposals.items():
-            if proposal.costs is not None:
-                place = self._view.fleet.controllers[member].link.place
-                lines.setdefault(place, []).append((proposal.costs, self.pace.share(member, known)))
-
-        def line_ns(line: list[tuple[Costs, float]]) -> float:
-            arming_ns = [costs.arm_ns * (share if len(line) == 1 else min(1.0, share)) for costs, share in line]
-            return max(arming_ns) if all(costs.by_turns for costs, _ in line) else sum(arming_ns)
-
-        return round(max(map(line_ns, lines.values()))) + margin_ns + moving.disarm_ns
-
-    async def _ask(self, moving: Moving, step: Move) -> None:
-        """Ask all members; first the driver of a line, because the window of its edge is part of what waiters say."""
-        line = moving.line
+    async def _propose(self, agreement: StartAgreement) -> None:
+        """Get proposals of all members; first of the driver of a trigger line, because the window of its edge is part
+        of what the waiters state."""
+        line = agreement.line
         proposals: dict[str, Proposal] = {}
         if line is not None:
-            proposals = await self._ask_some(moving, step, [line.driver])
+            proposals = await self._request_proposals(agreement, [line.driver])
             edge = proposals[line.driver].edge
             if not edge:
-                raise Refuse("start-class", f"{line.driver} can not drive a line", "wire it from another controller")
-            line = moving.line = replace(line, edge=_sums(edge))
-        proposals |= await self._ask_some(moving, step, [each for each in moving.members if each not in proposals])
-        moving.proposals = {member: proposals[member] for member in moving.members}
+                raise Refusal(
+                    "start-class", f"{line.driver} cannot drive a trigger line", "wire it from another controller"
+                )
+            line = agreement.line = replace(line, edge=sum_terms(edge))
+        others = [each for each in agreement.members if each not in proposals]
+        proposals |= await self._request_proposals(agreement, others)
+        agreement.proposals = {member: proposals[member] for member in agreement.members}
         if line is not None:
-            middles = [sum(_sums(proposals[member].terms)) // 2 for member in line.waiters]
-            moving.line = replace(line, shift_ns=sum(middles) // len(middles))
+            middles = [sum(sum_terms(proposals[member].terms)) // 2 for member in line.waiters]
+            agreement.line = replace(line, shift_ns=sum(middles) // len(middles))
 
-    async def _ask_some(self, moving: Moving, step: Move, members: Iterable[str]) -> dict[str, Proposal]:
-        ways = start_ways(moving, step, members)
+    async def _request_proposals(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, Proposal]:
+        request = self._request
         requests = {
-            member: Propose(
-                **self._members.fields(moving.actor),
-                job=moving.job_id,
-                step=moving.index,
+            member: ProposeRequest(
+                **self._requests.request_fields(request.job.actor),
+                job=request.job_id,
+                step=request.index,
                 digest=self._view.fleet.controllers[member].digest,
-                duration_s=moving.plan.duration_s,
-                profiles=moving.profiles(member),
-                start=way,
+                duration_s=agreement.plan.duration_s,
+                profiles=agreement.profiles(member),
+                start=options,
             )
-            for member, way in ways.items()
+            for member, options in self.start_options(agreement, members).items()
         }
-        proposals = await self._members.ask_all("propose", requests, Proposal)
-        refuse_if_any(proposals)
+        proposals = await self._requests.request_all("propose", requests, Proposal)
+        raise_first_refusal(proposals)
         return proposals
 
+    # Lead times
 
-def start_ways(moving: Moving, step: Move, members: Iterable[str]) -> dict[str, StartWay]:
-    """How each of `members` is to start in the step."""
-    lead_ns, line = moving.lead_ns + READING_NS, moving.line
-    also = {"brake_s": moving.brake_s, "early_ns": moving.early_ns}
-    by = "auto" if step.start == "line" else step.start
-    ways = {
-        member: line.way(member, lead_ns)
-        if line is not None and (member == line.driver or member in line.waiters)
-        else StartWay(by=by, lead_ns=lead_ns)
-        for member in members
-    }
-    return {member: way.model_copy(update=also) for member, way in ways.items()}
+    def _lead_ns(self, agreement: StartAgreement) -> int:
+        """The lead time to use. Where T0 can be brought forward, an unused lead costs nothing, so a generous one saves
+        a second arming of a member that is slow once."""
+        known_ns = self._needed_ns(agreement, use_known=True)
+        if agreement.can_advance:
+            return min(SPARE_LEAD_FACTOR * known_ns, self._needed_ns(agreement, use_known=False))
+        return known_ns
+
+    def _needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
+        """The lead time that the members need, as measured if `use_known`, else as declared."""
+        margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
+        lines: dict[str, list[tuple[StepCosts, float]]] = {}
+        for member, proposal in agreement.proposals.items():
+            if proposal.costs is not None:
+                endpoint = self._view.fleet.controllers[member].link.endpoint
+                share = self._estimator.arming_share(member, use_known=use_known)
+                lines.setdefault(endpoint, []).append((proposal.costs, share))
+        return round(max(map(_line_arming_ns, lines.values()))) + margin_ns + agreement.disarm_ns
 
 
-def _require(what: str, said: Predicted | None) -> None:
-    if said is not None and said.allowed_ns is not None and said.predicted_ns > said.allowed_ns:
-        raise Refuse(
+def _line_arming_ns(line: list[tuple[StepCosts, float]]) -> float:
+    """The arming time of the members on one line. With several, a share above 1 is waiting for the others."""
+    arming_ns = [costs.arm_ns * (share if len(line) == 1 else min(1.0, share)) for costs, share in line]
+    return max(arming_ns) if all(costs.interleaved for costs, _ in line) else sum(arming_ns)
+
+
+def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
+    """How much T0 can advance, and how far that is at most from a whole number of any member's ticks: an advance by
+    whole ticks leaves what is armed unchanged. (0, 0) if a member cannot advance."""
+    if not agreement.can_advance:
+        return 0, 0
+    spare_ns = max(0, spare_ns)
+    ticks_ns = [each.tick_ns for each in agreement.proposals.values() if each.tick_ns]
+    if not ticks_ns:
+        return spare_ns, 0
+    shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
+    tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
+    count = min(spare_ns // tick_ns, MAX_TICK_RESIDUAL * tick_ns / off_ns if off_ns else inf) // 1
+    # Instants are whole nanoseconds.
+    return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
+
+
+def _longest_braking_s(resolved: ResolvedMove, plan: Plan) -> float:
+    """How long the axis that brakes slowest needs from its peak velocity."""
+    braking_s = (
+        plan.profiles[each.axis].peak_velocity / each.acceleration
+        for each in resolved.moves
+        if each.axis in plan.profiles
+    )
+    return max(braking_s, default=0.0)
+
+
+def _require_allowed(what: str, skew: PredictedSkew | None) -> None:
+    if skew is not None and skew.allowed_ns is not None and skew.predicted_ns > skew.allowed_ns:
+        raise Refusal(
             f"{what}-skew",
-            f"predicted {what} skew {format_ns(said.predicted_ns)} > {format_ns(said.allowed_ns)}; worst is "
-            f"{said.worst_member}",
-            f"allow more with `max_{what}_skew`, or move faster or shorter, so that its crystal has less time to drift",
-            said.worst_member,
+            f"predicted {what} skew {format_ns(skew.predicted_ns)} > {format_ns(skew.allowed_ns)}; worst is "
+            f"{skew.worst_member}",
+            f"allow more with `max_{what}_skew`, or use a faster or shorter move, which leaves its crystal less time "
+            "to drift",
+            skew.worst_member,
         )
 
 
-def _predicted_ns(moving: Moving) -> int:
-    assert moving.budget is not None
-    return moving.budget.predicted_ns
-
-
-def _sums(terms: Iterable[Term]) -> tuple[int, int]:
-    """From the earliest to the latest instant that the terms leave, about T0."""
-    each = list(terms)
-    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
-
-
-def _window(moving: Moving, member: str, terms: list[Term]) -> Window:
-    shift_ns, slip_ns = moving.shift_ns(member), moving.slip_ns
-    if slip_ns and moving.proposals[member].tick_ns:
-        terms = [*terms, Term(name="slip", earliest_ns=-slip_ns, latest_ns=slip_ns)]
-    if shift_ns:
-        terms = [Term(name="line", earliest_ns=shift_ns, latest_ns=shift_ns), *terms]
-    line = moving.line
-    return Window(terms, None if line is None or member not in line.waiters else line.edge)
+def _predicted_ns(agreement: StartAgreement) -> int:
+    assert agreement.budget is not None
+    return agreement.budget.predicted_ns

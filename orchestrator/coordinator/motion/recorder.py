@@ -1,29 +1,29 @@
-"""What a motion step was planned to do and what polls have shown of it, for plots and for those who ask why."""
+"""Recording of a motion step: its plan and polled samples, for plots and for the analysis of failures."""
 
 from collections.abc import Mapping
 
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.model.fleet import by_controller
+from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.profile import Profile
 from orchestrator.model.report import AxisRecording, StepRecording
 from orchestrator.model.state import ControllerState
 
-POINTS = 4000  # an axis; beyond that every second one is dropped, as often as it takes
+MAX_SAMPLES = 4000  # maximum samples of an axis; beyond that every second one is dropped, repeatedly
 
 
-class Recorder:
-    """Records one step while it lasts: listens to the states of its members until `done`."""
+class StepRecorder:
+    """Records the states of a step's members until `finish`."""
 
     def __init__(self, view: FleetView, profiles: Mapping[str, Profile]) -> None:
         self._profiles = profiles
-        self._members = by_controller(profiles)
+        self._members = group_by_controller(profiles)
         self._every = 1
         self._seen = 0
         self._sampled: dict[str, list[tuple[int, float]]] = {axis: [] for axis in profiles}
         self._fleet = view.fleet
-        self._unlisten = view.listen_states(self._take)
+        self._unlisten = view.add_state_listener(self._add_samples)
 
-    def _take(self, state: ControllerState) -> None:
+    def _add_samples(self, state: ControllerState) -> None:
         if state.read_fleet_ns is None:
             return
         for name in self._members.get(state.controller, ()):
@@ -33,12 +33,12 @@ class Recorder:
             self._seen += 1
             if self._seen % self._every == 0:
                 points.append((state.read_fleet_ns, state.axes[name].raw_counts))
-            if len(points) >= POINTS:
+            if len(points) >= MAX_SAMPLES:
                 self._every *= 2
                 self._sampled = {axis: kept[::2] for axis, kept in self._sampled.items()}
 
-    def done(self, step: int, name: str, t0_fleet_ns: int) -> StepRecording:
-        """The recording; nothing more is taken."""
+    def finish(self, step: int, name: str, t0_fleet_ns: int) -> StepRecording:
+        """Stop recording, and return the recording."""
         self._unlisten()
         axes: dict[str, AxisRecording] = {}
         for axis, profile in self._profiles.items():

@@ -11,33 +11,33 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,7}")
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
-    """How much a controller can hold."""
+class MemoryCapacity:
+    """Capacity of a controller."""
 
     lines: int
     labels: int
     variables: int
     elements: int
-    """Of all arrays together."""
+    """Total of all arrays."""
     zero_frees: bool = False
     """`DM NAME[0]` frees an array (L15912; SMC-2000: L4500)."""
 
 
-class Data:
+class VariableStore:
     """All variables and arrays of one controller, shared by its threads and ports."""
 
-    def __init__(self, room: Room) -> None:
+    def __init__(self, room: MemoryCapacity) -> None:
         self.room = room
         self.variables: dict[str, int] = {}
         self.arrays: dict[str, list[int]] = {}
 
-    def variable(self, name: str) -> int:
+    def read_variable(self, name: str) -> int:
         try:
             return self.variables[name]
         except KeyError:
             raise CommandError(9) from None
 
-    def assign(self, name: str, raw: int) -> None:
+    def assign_variable(self, name: str, raw: int) -> None:
         """Set a variable; the first assignment creates it (L14457)."""
         if name not in self.variables:
             if _NAME.fullmatch(name) is None:
@@ -46,20 +46,20 @@ class Data:
                 raise CommandError(67)
         self.variables[name] = raw
 
-    def array(self, name: str) -> list[int]:
+    def get_array(self, name: str) -> list[int]:
         try:
             return self.arrays[name]
         except KeyError:
             raise CommandError(82) from None
 
-    def element(self, name: str, index: int) -> int:
-        array = self.array(name)
+    def read_element(self, name: str, index: int) -> int:
+        array = self.get_array(name)
         if not 0 <= index < len(array):
             raise CommandError(56)
         return array[index]
 
-    def store(self, name: str, index: int, raw: int) -> None:
-        array = self.array(name)
+    def store_element(self, name: str, index: int, raw: int) -> None:
+        array = self.get_array(name)
         if not 0 <= index < len(array):
             raise CommandError(56)
         array[index] = raw
@@ -67,8 +67,10 @@ class Data:
     def free_elements(self) -> int:
         return self.room.elements - sum(len(array) for array in self.arrays.values())
 
-    def dimension(self, name: str, size: int, proper: bool = False) -> None:
-        """`DM`: a new array of zeros; one of that name is replaced. proper: names begin with a capital."""
+    def create_array(self, name: str, size: int, proper: bool = False) -> None:
+        """`DM`: create an array of zeros; an existing one of that name is replaced.
+
+        proper: names begin with a capital."""
         if _NAME.fullmatch(name) is None or (proper and not name[0].isupper()):
             raise CommandError(57)
         if size == 0 and self.room.zero_frees and name in self.arrays:
@@ -83,8 +85,8 @@ class Data:
             raise CommandError(66)
         self.arrays[name] = [0] * size
 
-    def free(self, name: str) -> None:
-        """`DA`: forget a variable, or an array when brackets follow (L3971)."""
+    def delete_name(self, name: str) -> None:
+        """`DA`: delete a variable, or an array when brackets follow (L3971)."""
         if name == "**[0]":
             self.variables.clear()
             self.arrays.clear()
@@ -98,14 +100,14 @@ class Data:
             self.variables.pop(name, None)
 
     def list_variables(self) -> list[str]:
-        """The lines of `LV` (L7223)."""
+        """Return the lines of `LV` (L7223)."""
         lines: list[str] = []
         for name in sorted(self.variables):
             raw = self.variables[name]
-            scaled = fixed.rounded(abs(raw) * 10000 / fixed.ONE)
+            scaled = fixed.round_half_up(abs(raw) * 10000 / fixed.ONE)
             lines.append(f"{name} = {'-' if raw < 0 else ''}{scaled // 10000}.{scaled % 10000:04d}")
         return lines
 
     def list_arrays(self) -> list[str]:
-        """The lines of `LA` (L6726)."""
+        """Return the lines of `LA` (L6726)."""
         return [f"{name} [{len(self.arrays[name])}]" for name in sorted(self.arrays)]

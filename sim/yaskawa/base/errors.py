@@ -1,4 +1,4 @@
-"""Refusals: the error codes that `TC` tells (SMC-4000: L10268-L10443, SMC-2000: L3477-L3611, L11690-L11784)."""
+"""Refusals: the error codes that `TC` reports (SMC-4000: L10268-L10443, SMC-2000: L3477-L3611, L11690-L11784)."""
 
 _FAMILY: dict[int, str] = {
     0: "",
@@ -102,7 +102,7 @@ SMC2000: dict[int, str] = _FAMILY | {
 
 
 class CommandError(Exception):
-    """A command is refused; `code` is what `TC` tells afterwards."""
+    """A refused command; `code` is what `TC` reports afterwards."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"code {code}")

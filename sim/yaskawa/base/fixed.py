@@ -14,44 +14,44 @@ MINIMUM = -(1 << 47)
 STRING_LENGTH = 6
 
 
-def clamp(raw: int) -> int:
-    """`raw` held inside the range of the dialect."""
+def clamp_range(raw: int) -> int:
+    """Limit `raw` to the range of the dialect."""
     return MAXIMUM if raw > MAXIMUM else MINIMUM if raw < MINIMUM else raw
 
 
-def of(value: float) -> int:
-    """The nearest fixed-point value of a real number."""
+def from_real(value: float) -> int:
+    """Return the nearest fixed-point value of a real number."""
     if value != value or value in (float("inf"), float("-inf")):
         raise CommandError(6)
-    return clamp(round(value * ONE))
+    return clamp_range(round(value * ONE))
 
 
-def whole(value: int) -> int:
-    """Fixed point of an integer."""
+def from_integer(value: int) -> int:
+    """Return the fixed-point value of an integer."""
     return value * ONE
 
 
-def truncated(raw: int) -> int:
-    """The integer part, toward zero: what integer commands make of a fraction."""
+def to_integer(raw: int) -> int:
+    """Return the integer part, toward zero: the value that integer commands use of a fraction."""
     return raw >> 16 if raw >= 0 else -(-raw >> 16)
 
 
-def multiply(a: int, b: int) -> int:
-    """Product, cut to 1/65536."""
+def multiply_fixed(a: int, b: int) -> int:
+    """Multiply; the product is cut to 1/65536."""
     product = a * b
-    return clamp(product >> 16 if product >= 0 else -(-product >> 16))
+    return clamp_range(product >> 16 if product >= 0 else -(-product >> 16))
 
 
-def divide(a: int, b: int) -> int:
-    """Quotient, cut to 1/65536. Division by zero is an operand error."""
+def divide_fixed(a: int, b: int) -> int:
+    """Divide; the quotient is cut to 1/65536. Division by zero is an operand error."""
     if b == 0:
         raise CommandError(4)
     quotient = (abs(a) << 16) // abs(b)
-    return clamp(quotient if (a < 0) == (b < 0) else -quotient)
+    return clamp_range(quotient if (a < 0) == (b < 0) else -quotient)
 
 
-def literal(text: str) -> int:
-    """A decimal or `$` hexadecimal literal without sign."""
+def parse_literal(text: str) -> int:
+    """Parse a decimal or `$` hexadecimal literal without sign."""
     if text.startswith("$"):
         head, _, tail = text[1:].partition(".")
         raw = int(head or "0", 16) << 16
@@ -69,8 +69,8 @@ def literal(text: str) -> int:
     return raw
 
 
-def of_string(text: str) -> int:
-    """The 48 bits of a string of up to 6 characters."""
+def from_string(text: str) -> int:
+    """Pack a string of up to 6 characters into 48 bits."""
     if len(text) > STRING_LENGTH:
         raise CommandError(52)
     bits = int.from_bytes(text.encode("latin-1").ljust(STRING_LENGTH, b"\0"), "big")
@@ -78,16 +78,16 @@ def of_string(text: str) -> int:
 
 
 def to_string(raw: int, length: int = STRING_LENGTH) -> str:
-    """The characters that the 48 bits of `raw` stand for, at most `length`, without trailing NULs."""
+    """Return the characters in the 48 bits of `raw`, at most `length`, without trailing NULs."""
     bits = (raw & ((1 << 48) - 1)).to_bytes(STRING_LENGTH, "big")
     return bits[:length].rstrip(b"\0").decode("latin-1")
 
 
-def wrapped(counts: int) -> int:
-    """A position in 32 bits: it wraps beyond +/-2^31 counts."""
+def wrap_counts(counts: int) -> int:
+    """Wrap a position to 32 bits, beyond +/-2^31 counts."""
     return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
 
-def rounded(value: float) -> int:
-    """The nearest integer, halves upward."""
+def round_half_up(value: float) -> int:
+    """Round to the nearest integer, halves upward."""
     return floor(value + 0.5)

@@ -1,6 +1,6 @@
-"""How a simulated controller is built. Every open point of the manuals that hardware may decide otherwise is a switch.
+"""Options of a simulated controller. Each open point of the manuals that hardware may decide otherwise is a switch.
 
-`D…` are the decisions of section 16 in `docs/controllers/smc4000.md`; those of `Smc2000Options` stand in section 10 of
+`D…` are the decisions of section 16 in `docs/controllers/smc4000.md`; those of `Smc2000Options` are in section 10 of
 `docs/controllers/smc2000.md`.
 """
 
@@ -10,15 +10,15 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 MAIN_BAUD = 19200
-"""Of port 1 of the SMC-2000 as shipped (L910)."""
+"""Default baud rate of port 1 of the SMC-2000 (L910)."""
 HOP_NS = 520_833
-"""D10: store and forward of a unit of a chain; one character at that rate."""
+"""D10: store and forward of a controller of a chain; one character at that rate."""
 _BYTE = 8
 _ABSENT_OUTPUTS = frozenset((24, 32, 40, 48, 56, 64))
 
 
-class Options(BaseModel):
-    """Options of every model. Places are physical positions in counts, 0 at power-up."""
+class FamilyOptions(BaseModel):
+    """Options of every model. Positions are physical, in counts, 0 at power-up."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -28,15 +28,15 @@ class Options(BaseModel):
     """SMC-4000: IP address, as the signed 32-bit number of `_IA0`. SMC-2000: address in the daisy chain."""
     serial_number: int = Field(default=1, ge=1, le=65535)
     home_edge: dict[str, int] = Field(default_factory=dict[str, int])
-    """Per axis: the home input is low below this place and high from it on."""
+    """Per axis: the home input is low below this position and high from it on."""
     index_every: dict[str, int] = Field(default_factory=dict[str, int])
     """Per axis: an index pulse at every multiple of this."""
     travel: dict[str, tuple[int, int]] = Field(default_factory=dict[str, tuple[int, int]])
-    """Per axis: places of the reverse and the forward limit switch."""
+    """Per axis: positions of the reverse and the forward limit switch."""
     question_crlf: bool = False
     """D1: a refusal ends with CR LF."""
     sign_column: bool = True
-    """D2: a positive number has a blank where the sign would be."""
+    """D2: a positive number has a blank in place of the sign."""
     late_contour_error: bool = False
     """D13: a late CD answers `?` and 42."""
     st_halts_programs: bool = True
@@ -44,28 +44,28 @@ class Options(BaseModel):
     av_absolute: bool = False
     """D74: AV counts from the start of the sequence."""
     zero_segments: bool = False
-    """A segment without length is taken and left out; otherwise refused with 30 (SMC-2000: D25)."""
+    """A segment without length is accepted and skipped; otherwise refused with 30 (SMC-2000: D25)."""
     burn_takes_time: bool = False
-    """D56: BN, BP and BV take their documented times before they answer."""
+    """D56: BN, BP and BV take their documented times before they are answered."""
 
     @property
     def axis_count(self) -> int:
-        """Real axes."""
+        """Number of real axes."""
         raise NotImplementedError
 
     @property
-    def inputs(self) -> int:
-        """Digital inputs."""
+    def input_count(self) -> int:
+        """Number of digital inputs."""
         return _BYTE
 
     @property
-    def outputs(self) -> int:
-        """Digital outputs."""
+    def output_count(self) -> int:
+        """Number of digital outputs."""
         return _BYTE
 
     @property
-    def analog(self) -> int:
-        """Analog inputs."""
+    def analog_count(self) -> int:
+        """Number of analog inputs."""
         return 0
 
     @property
@@ -74,18 +74,18 @@ class Options(BaseModel):
         return frozenset()
 
     @property
-    def channels(self) -> int:
-        """Arrays that RA can record into at once."""
+    def channel_count(self) -> int:
+        """Number of arrays that RA can record into at once."""
         return 8
 
     @property
-    def encoders(self) -> Mapping[str, int]:
-        """What absolute encoders read, per axis, counts; empty without the option."""
+    def encoder_readings(self) -> Mapping[str, int]:
+        """Readings of the absolute encoders, per axis, counts; empty without the option."""
         return {}
 
     @property
-    def unaddressed(self) -> bool:
-        """Whether it takes no commands before it is addressed."""
+    def needs_address(self) -> bool:
+        """Whether it ignores commands before it is addressed."""
         return False
 
     @property
@@ -100,7 +100,7 @@ class Options(BaseModel):
 
     @property
     def own_modulus(self) -> bool:
-        """Whether the cycle of a cam's master is set apart from those of the slaves, by MM."""
+        """Whether the cycle of a cam's master is set separately from those of the slaves, by MM."""
         return False
 
     @property
@@ -110,35 +110,35 @@ class Options(BaseModel):
 
     @property
     def program_ns(self) -> int:
-        """What a command of a program takes beyond the firmware time that was asked for, ns."""
+        """Time that a command of a program takes in addition to the requested firmware time, ns."""
         return 0
 
 
-class Smc4000Options(Options):
+class Smc4000Options(FamilyOptions):
     """Options of the SMC-4000."""
 
     axes: Literal[2, 4] = 4
     link: Literal["tcp", "udp", "serial"] = "tcp"
-    """The port that is usual for this unit: the first of `ports`."""
+    """The default port: the first of `ports`."""
     handle: Literal["A", "B", "C", "D", "E", "F", "G", "H"] | None = None
     """The Ethernet handle of the first connection."""
     absolute_encoders: dict[str, int] = Field(default_factory=dict[str, int])
-    """Per axis: what `AE` reads, counts; empty without the W option (L49)."""
+    """Per axis: the reading of `AE`, counts; empty without the W option (L49)."""
     qr_axis_bytes: Literal[26, 28] = 26
     """D28: bytes of an axis block of `QR`."""
     strict_packets: bool = False
-    """D39: what a packet holds behind its last CR is dropped."""
+    """D39: the rest of a packet after its last CR is dropped."""
 
     @property
     def axis_count(self) -> int:
         return self.axes
 
     @property
-    def encoders(self) -> Mapping[str, int]:
+    def encoder_readings(self) -> Mapping[str, int]:
         return self.absolute_encoders
 
 
-class Unit(BaseModel):
+class ChainDevice(BaseModel):
     """One controller of a daisy chain."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -146,18 +146,18 @@ class Unit(BaseModel):
     address: int = Field(ge=0, le=7)
     axes: Literal[1, 2, 4, 8] = 4
     drift_ppm: float | None = None
-    """Its crystal's; None: the one of the chain's oscillator."""
+    """Drift of its crystal; None: that of the chain's oscillator."""
     external_clock: bool = False
-    """`TM -1` is burned: it takes its samples from the wire of `shared_clock`."""
+    """`TM -1` is burned: it takes its samples over the wire of `shared_clock`."""
 
 
-class Smc2000Options(Options):
+class Smc2000Options(FamilyOptions):
     """Options of the SMC-2000. Numbers of decisions are those of `docs/controllers/smc2000.md`."""
 
     axes: Literal[1, 2, 4, 8] = 4
     address: int = Field(default=0, ge=0, le=7)
     chained: bool = False
-    """Part of a daisy chain: hears nothing but `%A` and `!` before it is addressed, and forwards from power-up on."""
+    """Part of a daisy chain: accepts only `%A` and `!` before it is addressed, and forwards from power-up on."""
     extended_io: bool = False
     """Inputs 25 to 64 and outputs 17 to 63 (L13398)."""
     firmware: Literal["2.0g", "D150N19p"] = "2.0g"
@@ -166,24 +166,24 @@ class Smc2000Options(Options):
     stepper_jumpers: bool = True
     """The jumpers that stepper motors need are installed (L794); without them `MT 2` is refused with 96."""
     absolute_encoders: dict[str, int] = Field(default_factory=dict[str, int])
-    """Per axis: what `AE` reads, counts; empty without the W option."""
+    """Per axis: the reading of `AE`, counts; empty without the W option."""
     command_s: float = Field(default=0.0, ge=0.0)
-    """D11: what a command of a program takes, seconds."""
+    """D11: duration of a command of a program, seconds."""
 
     @property
     def axis_count(self) -> int:
         return self.axes
 
     @property
-    def inputs(self) -> int:
+    def input_count(self) -> int:
         return 64 if self.extended_io else 24 if self.axes == 8 else _BYTE
 
     @property
-    def outputs(self) -> int:
+    def output_count(self) -> int:
         return 64 if self.extended_io else 16 if self.axes == 8 else _BYTE
 
     @property
-    def analog(self) -> int:
+    def analog_count(self) -> int:
         return 7
 
     @property
@@ -191,15 +191,15 @@ class Smc2000Options(Options):
         return _ABSENT_OUTPUTS if self.extended_io else frozenset()
 
     @property
-    def channels(self) -> int:
+    def channel_count(self) -> int:
         return 8 if self.axes == 8 else 4
 
     @property
-    def encoders(self) -> Mapping[str, int]:
+    def encoder_readings(self) -> Mapping[str, int]:
         return self.absolute_encoders
 
     @property
-    def unaddressed(self) -> bool:
+    def needs_address(self) -> bool:
         return self.chained
 
     @property
@@ -224,16 +224,16 @@ class Smc2000Options(Options):
 
 
 class ChainOptions(BaseModel):
-    """Options of a daisy chain of SMC-2000 behind one serial port; `chain` lists the units, the host's first."""
+    """Options of a daisy chain of SMC-2000 on one serial port; `chain` lists the controllers, the host's first."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    chain: list[Unit] = Field(min_length=1, max_length=8)
+    chain: list[ChainDevice] = Field(min_length=1, max_length=8)
     echo: bool = True
-    """Power-up state of `EO` of all units."""
+    """Power-up state of `EO` of all controllers."""
     hop_ns: int = Field(default=HOP_NS, ge=0)
-    """D10: store and forward of each unit; one character at 19200 baud."""
+    """D10: store and forward of each controller; one character at 19200 baud."""
     shared_clock: bool = False
-    """The first unit's sample clock is wired to the others (L975)."""
+    """The first controller's sample clock is wired to the others (L975)."""
     options: dict[str, object] = Field(default_factory=dict[str, object])
-    """Further options of all units."""
+    """Further options of all controllers."""

@@ -1,4 +1,4 @@
-"""The physical world around the controller: inputs, switches, edges and index pulses."""
+"""Physical environment of the controller: inputs, switches, edges and index pulses."""
 
 from dataclasses import dataclass, field
 
@@ -6,8 +6,8 @@ from sim.core.controller import LimitSwitch
 
 
 @dataclass(slots=True)
-class World:
-    """What outside changes. Places are physical positions in counts: 0 at power-up, untouched by `DP`."""
+class PhysicalEnvironment:
+    """State set from outside. Positions are physical, in counts: 0 at power-up, independent of `DP`."""
 
     inputs: list[bool]
     analog: list[float] = field(default_factory=list[float])
@@ -19,7 +19,7 @@ class World:
     travel: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
     def home_level(self, axis: str, place: float) -> bool:
-        """The home input with the axis at a physical position; high when nothing is known."""
+        """Return the home input with the axis at a physical position; high by default."""
         if axis in self.home:
             return self.home[axis]
         edge = self.home_edge.get(axis)

@@ -2,90 +2,90 @@
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.arguments import LETTERS, parse_axes, parse_fields, parse_form, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import integer
-from sim.yaskawa.language.registry import Outcome, Runner, bare, command
-from sim.yaskawa.motion.contour import Contour, ContourPath, Record
-from sim.yaskawa.motion.trippoints import when
+from sim.yaskawa.language.arguments import LETTERS, compile_values, parse_axes, parse_fields, parse_form
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_integer
+from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
+from sim.yaskawa.motion.contour import ContourMotion, ContourPath, ContourRecord
+from sim.yaskawa.motion.trippoints import when_passed
 
 
-@command("CM")
-def _contour_mode(text: str) -> Runner:
+@register_command("CM")
+def _compile_contour_mode(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show("CM", fixed.whole(full(c)))
+        return lambda c: c.machine.format_answer("CM", fixed.from_integer(contour_full(c)))
     names = parse_axes(text)
 
-    def run(c: Context) -> Outcome:
-        chosen = {c.machine.axis(name).name for name in names} or set(c.machine.letters)
+    def run_command(c: CommandContext) -> Outcome:
+        chosen = {c.machine.find_axis(name).name for name in names} or set(c.machine.letters)
         axes = tuple(name for name in c.machine.letters if name in chosen)
-        c.machine.motion.enter_contour(axes, c.machine.now())
+        c.machine.motion.enter_contour(axes, c.machine.current_sample())
         return None
 
-    return run
+    return run_command
 
 
-def full(c: Context) -> int:
-    """`_CM`: 1 while a record waits behind the executing one (D12)."""
+def contour_full(c: CommandContext) -> int:
+    """`_CM`: 1 while a record waits for the executing one (D12)."""
     contour = c.machine.motion.contour
     return int(contour is not None and contour.waiting is not None)
 
 
-@command("DT")
-def _interval(text: str) -> Runner:
+@register_command("DT")
+def _compile_interval(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_whole(c.machine.motion.contour_interval, 1)
-    value = integer(text)
+        return lambda c: c.machine.format_integer(c.machine.motion.contour_interval, 1)
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         exponent = value(c)
         if not 0 <= exponent <= 8:
             raise CommandError(6)
         c.machine.motion.contour_interval = exponent
         return None
 
-    return run
+    return run_command
 
 
-@command("CD")
-def _record(text: str) -> Runner:
+@register_command("CD")
+def _compile_record(text: str) -> Runner:
     if "=" in text:
         form = parse_form(text)
         if any(isinstance(field, str) for _, field in form):
             raise CommandError(51)
     else:
         form = []
-    fields = values(parse_fields(text)) if not form else None
+    fields = compile_values(parse_fields(text)) if not form else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
         contour = motion.contour
         given: dict[str, int] = {}
         if fields is not None:
             for letter, raw in zip(LETTERS, fields(c), strict=False):
-                given[letter] = 0 if raw is None else fixed.truncated(raw)
+                given[letter] = 0 if raw is None else fixed.to_integer(raw)
         for name, field in form:
             if field is not None and not isinstance(field, str):
-                targets = contour.axes if name == "*" and contour is not None else (c.machine.axis(name).name,)
-                given.update(dict.fromkeys(targets, fixed.truncated(field(c))))
+                targets = contour.axes if name == "*" and contour is not None else (c.machine.find_axis(name).name,)
+                given.update(dict.fromkeys(targets, fixed.to_integer(field(c))))
         if any(abs(increment) > c.machine.model.figures.contour_step for increment in given.values()):
             raise CommandError(41)
         if contour is None:
             if motion.contour_interval == 0 and not any(given.values()):
                 return None
             raise CommandError(8)
-        _take(c, contour, tuple(given.get(name, 0) for name in contour.axes))
+        _queue_record(c, contour, tuple(given.get(name, 0) for name in contour.axes))
         return None
 
-    return run
+    return run_command
 
 
-def _take(c: Context, contour: Contour, increments: tuple[int, ...]) -> None:
+def _queue_record(c: CommandContext, contour: ContourMotion, increments: tuple[int, ...]) -> None:
     machine, motion = c.machine, c.machine.motion
     exponent = motion.contour_interval
-    record = Record(increments, 1 << exponent if exponent else 0)
+    record = ContourRecord(increments, 1 << exponent if exponent else 0)
     at = machine.timebase.next_sample()
-    if contour.executing:
+    if contour.is_executing:
         contour.waiting = record
         return
     if not exponent:
@@ -93,24 +93,26 @@ def _take(c: Context, contour: Contour, increments: tuple[int, ...]) -> None:
         return
     if motion.contour_late:
         motion.contour_late = False
-        machine.fail(42)
+        machine.refuse_command(42)
         if machine.options.late_contour_error:
             raise CommandError(42)
     if contour.started is None:
         for name in contour.axes:
-            axis = machine.axis(name)
+            axis = machine.find_axis(name)
             if axis.motor_off:
                 raise CommandError(20)
         for index, name in enumerate(contour.axes):
-            axis = machine.axis(name)
+            axis = machine.find_axis(name)
             axis.path, axis.profile = ContourPath(contour, index), None
             axis.mode, axis.stopping, axis.stop_code = "contour", False, 50
-            axis.move_start, axis.mark = axis.reference(at), axis.command(at)
+            axis.move_start, axis.mark = axis.reference_at(at), axis.command_at(at)
             motion.note_start(axis, at)
-    contour.execute(record, at)
+    contour.execute_record(record, at)
 
 
-@command("WC")
-def _wait_contour(text: str) -> Runner:
-    bare(text)
-    return lambda c: when(lambda machine, now: machine.motion.contour is None or machine.motion.contour.waiting is None)
+@register_command("WC")
+def _compile_wait_contour(text: str) -> Runner:
+    require_bare(text)
+    return lambda c: when_passed(
+        lambda machine, now: machine.motion.contour is None or machine.motion.contour.waiting is None
+    )

@@ -2,47 +2,48 @@
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.motion import busy
-from sim.yaskawa.commands.parameters import targets
-from sim.yaskawa.commands.status import report
+from sim.yaskawa.commands.motion import busy_refusal
+from sim.yaskawa.commands.parameters import target_axes
+from sim.yaskawa.commands.status import report_text
 from sim.yaskawa.language.arguments import parse_form
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.registry import Outcome, Runner, bare, command
-from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
+from sim.yaskawa.motion.axis import ServoAxis
 
 NOT_INSTALLED, MOTOR_ON, SILENT = 114, 115, 117
-"""Codes of the SMC-2000; the other model's table has none of its own."""
+"""Codes of the SMC-2000; the other model's table has no codes for this."""
 
 
-@command("AE")
-def _absolute_encoder(text: str) -> Runner:
-    """The encoder's position becomes the axis'; the argument is its resolution, negative for reverse rotation."""
+@register_command("AE")
+def _compile_absolute_encoder(text: str) -> Runner:
+    """Set the axis position to the encoder's position; the argument is its resolution, negative for reverse
+    rotation."""
     form = parse_form(text)
 
-    def run(c: Context) -> Outcome:
-        given: list[tuple[Axis, int]] = []
+    def run_command(c: CommandContext) -> Outcome:
+        given: list[tuple[ServoAxis, int]] = []
         for name, field in form:
             if field is None or isinstance(field, str):
                 raise CommandError(51)
-            resolution = fixed.truncated(field(c))
+            resolution = fixed.to_integer(field(c))
             if not 1 <= abs(resolution) <= c.machine.model.figures.encoder_resolution:
                 raise CommandError(6)
-            given += [(axis, resolution) for axis in targets(c, name)]
+            given += [(axis, resolution) for axis in target_axes(c, name)]
         if not given:
             raise CommandError(50)
         for axis, resolution in given:
             _read_encoder(c, axis, resolution)
         return None
 
-    return run
+    return run_command
 
 
-def _read_encoder(c: Context, axis: Axis, resolution: int) -> None:
-    encoders = c.machine.options.encoders
+def _read_encoder(c: CommandContext, axis: ServoAxis, resolution: int) -> None:
+    encoders = c.machine.options.encoder_readings
     if not encoders:
         raise CommandError(NOT_INSTALLED)
-    if axis.moving:
-        raise busy(axis)
+    if axis.is_moving:
+        raise busy_refusal(axis)
     if not axis.motor_off:
         raise CommandError(MOTOR_ON)
     c.machine.last_encoder = axis.index
@@ -51,19 +52,19 @@ def _read_encoder(c: Context, axis: Axis, resolution: int) -> None:
         raise CommandError(SILENT)
     axis.absolute = place if resolution > 0 else -place
     axis.turns = axis.absolute // abs(resolution)
-    axis.define(c.machine.now(), axis.absolute)
+    axis.define_position(c.machine.current_sample(), axis.absolute)
 
 
-@command("QY")
-def _encoder_text(text: str) -> Runner:
-    """What the encoder read last has sent: its revolutions."""
-    bare(text.removeprefix("?"))
+@register_command("QY")
+def _compile_encoder_text(text: str) -> Runner:
+    """Return the data of the encoder read last: its revolutions."""
+    require_bare(text.removeprefix("?"))
 
-    def run(c: Context) -> Outcome:
-        if not c.machine.options.encoders:
+    def run_command(c: CommandContext) -> Outcome:
+        if not c.machine.options.encoder_readings:
             raise CommandError(NOT_INSTALLED)
-        if c.machine.model.still_encoders and c.machine.motion.active():
+        if c.machine.model.still_encoders and c.machine.motion.is_active():
             raise CommandError(7)
-        return report(c, f"P{c.machine.motion.real[c.machine.last_encoder].turns:+06d}")
+        return report_text(c, f"P{c.machine.motion.real[c.machine.last_encoder].turns:+06d}")
 
-    return run
+    return run_command

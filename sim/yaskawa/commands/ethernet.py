@@ -6,35 +6,35 @@ from collections.abc import Callable
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands.data import array_name
-from sim.yaskawa.commands.status import report
+from sim.yaskawa.commands.status import report_text
 from sim.yaskawa.commands.system import HANDLES
-from sim.yaskawa.language.arguments import parse_fields, split, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import compile_expression, integer
-from sim.yaskawa.language.registry import Outcome, Runner, bare, command
-from sim.yaskawa.motion.trippoints import when
-from sim.yaskawa.ports.modbus import FUNCTIONS, RAW, bits, packed, request, transact
-from sim.yaskawa.ports.network import FIELDS, TCP, UDP, WAITING, Peer
+from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_expression, compile_integer
+from sim.yaskawa.language.registry import Outcome, Runner, register_command, require_bare
+from sim.yaskawa.motion.trippoints import when_passed
+from sim.yaskawa.ports.modbus import FUNCTIONS, RAW, build_request, pack_bits, send_request, unpack_bits
+from sim.yaskawa.ports.network import FIELDS, TCP, UDP, WAITING, PeerHandle
 from sim.yaskawa.ports.ports import address_text
 
 
-@command("IA", lock="1")
-def _address(text: str) -> Runner:
+@register_command("IA", lock="1")
+def _compile_address(text: str) -> Runner:
     if text == "?":
         return lambda c: address_text(c.machine.address)
     head, retry_given, retry_text = text.partition("<")
-    retry = integer(retry_text) if retry_given else None
+    retry = compile_integer(retry_text) if retry_given else None
     unsigned = int(head) if head.isdecimal() and int(head) < 1 << 32 else None
-    fields = values(parse_fields(head)) if head and unsigned is None else None
+    fields = compile_values(parse_fields(head)) if head and unsigned is None else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
         if c.port is not None and c.port.kind != "serial":
             raise CommandError(1)
-        if machine.motion.active():
+        if machine.motion.is_active():
             raise CommandError(7)
         if unsigned is not None:
-            machine.address = fixed.wrapped(unsigned)
+            machine.address = fixed.wrap_counts(unsigned)
         if fields is not None:
             machine.address = _parse_address([raw for raw in fields(c) if raw is not None])
         if retry is not None:
@@ -44,37 +44,37 @@ def _address(text: str) -> Runner:
             machine.retry_time = time
         return None
 
-    return run
+    return run_command
 
 
 def _parse_address(given: list[int]) -> int:
-    numbers = [fixed.truncated(raw) for raw in given]
+    numbers = [fixed.to_integer(raw) for raw in given]
     if len(numbers) == 1:
-        return fixed.wrapped(numbers[0])
+        return fixed.wrap_counts(numbers[0])
     if len(numbers) != 4:
         raise CommandError(50)
     if any(not 0 <= number <= 255 for number in numbers):
         raise CommandError(6)
-    return fixed.wrapped(int.from_bytes(bytes(numbers), "big"))
+    return fixed.wrap_counts(int.from_bytes(bytes(numbers), "big"))
 
 
-@command("IH")
-def _internet_handle(text: str) -> Runner:
+@register_command("IH")
+def _compile_internet_handle(text: str) -> Runner:
     handle, found, rest = text.partition("=")
     if not found or handle not in (*HANDLES, "S", "T"):
         raise CommandError(4)
     if rest.startswith(">"):
-        value = integer(rest[1:])
-        return lambda c: _close(c, handle, value(c))
+        value = compile_integer(rest[1:])
+        return lambda c: _close_handle(c, handle, value(c))
     if handle in ("S", "T"):
         raise CommandError(4)
     head, kind_given, kind_text = rest.partition(">")
     head, port_given, port_text = head.partition("<")
-    kind = integer(kind_text) if kind_given else None
-    port = integer(port_text) if port_given else None
-    fields = values(parse_fields(head))
+    kind = compile_integer(kind_text) if kind_given else None
+    port = compile_integer(port_text) if port_given else None
+    fields = compile_values(parse_fields(head))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         ports = c.machine.ports
         if handle in ports.handles or handle in ports.outgoing:
             raise CommandError(124)
@@ -83,16 +83,16 @@ def _internet_handle(text: str) -> Runner:
         session = kind(c) if kind is not None else 2
         if not 0 <= number <= 65535 or not 0 <= session <= 2:
             raise CommandError(6)
-        peer = ports.outgoing[handle] = Peer(c.machine, handle, address, number, UDP if session == UDP else TCP)
-        peer.open()
+        peer = ports.outgoing[handle] = PeerHandle(c.machine, handle, address, number, UDP if session == UDP else TCP)
+        peer.open_handle()
         return None
 
-    return run
+    return run_command
 
 
-def _close(c: Context, handle: str, how: int) -> Outcome:
+def _close_handle(c: CommandContext, handle: str, mode: int) -> Outcome:
     ports = c.machine.ports
-    if how not in (-1, -2):
+    if mode not in (-1, -2):
         raise CommandError(6)
     own = c.port.name if c.port is not None else ""
     if handle == "S":
@@ -106,88 +106,88 @@ def _close(c: Context, handle: str, how: int) -> Outcome:
     for name in names:
         peer = ports.outgoing.pop(name, None)
         if peer is not None:
-            peer.close()
+            peer.close_handle()
         port = ports.handles.get(name)
         if port is not None:
             if port is c.port:
-                port.accept(None)
-            port.hang_up()
+                port.accept_command(None)
+            port.close_from_controller()
     return None
 
 
-@command("HS")
-def _swap_handles(text: str) -> Runner:
+@register_command("HS")
+def _compile_swap_handles(text: str) -> Runner:
     first, found, second = text.partition("=")
     if not found or first not in (*HANDLES, "S") or second not in (*HANDLES, "S"):
         raise CommandError(4)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         own = c.port.name if c.port is not None else ""
         one, other = (own if name == "S" else name for name in (first, second))
         if not one or not other:
             raise CommandError(4)
-        c.machine.ports.swap(one, other)
+        c.machine.ports.swap_handles(one, other)
         return None
 
-    return run
+    return run_command
 
 
-Field = Callable[[Context], str]
+Field = Callable[[CommandContext], str]
 
 
 def _send_field(text: str) -> Field:
-    """A string as it stands, a number without padding (L9751-L9757)."""
+    """Parse a field: a string is sent as it is, a number without padding (L9751-L9757)."""
     if text.startswith('"'):
         if len(text) < 2 or not text.endswith('"') or len(text) - 2 > fixed.STRING_LENGTH:
             raise CommandError(52)
         return lambda c: text[1:-1]
     value = compile_expression(text)
-    return lambda c: _plain(value(c))
+    return lambda c: _format_plain(value(c))
 
 
-def _plain(raw: int) -> str:
+def _format_plain(raw: int) -> str:
     return f"{raw / fixed.ONE:.4f}".rstrip("0").rstrip(".")
 
 
-@command("SA")
-def _send_command(text: str) -> Runner:
-    """`SAh="KI",2`: the first field, and behind it the others, separated by commas (L1796-L1806)."""
+@register_command("SA")
+def _compile_send_command(text: str) -> Runner:
+    """`SAh="KI",2`: the first field, followed by the others, separated by commas (L1796-L1806)."""
     handle, found, rest = text.partition("=")
     if not found or handle not in HANDLES or len(handle) != 1:
         raise CommandError(4)
-    parts = split(rest)
+    parts = split_fields(rest)
     if len(parts) > FIELDS or not rest:
         raise CommandError(50)
     fields = [_send_field(part) for part in parts]
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         first, *others = [field(c) for field in fields]
-        _peer(c, handle).ask(first + ",".join(others))
+        _find_peer(c, handle).send_command(first + ",".join(others))
         return None
 
-    return run
+    return run_command
 
 
-def _peer(c: Context, handle: str) -> Peer:
+def _find_peer(c: CommandContext, handle: str) -> PeerHandle:
     peer = c.machine.ports.outgoing.get(handle)
     if peer is None:
         raise CommandError(126)
     return peer
 
 
-@command("MB")
-def _modbus(text: str) -> Runner:
-    """A packet to a Modbus device (L7296-L7332); held until it has answered, unless MW is 0 (L7739)."""
+@register_command("MB")
+def _compile_modbus(text: str) -> Runner:
+    """Send a packet to a Modbus device (L7296-L7332); the command waits for the answer, unless MW is 0 (L7739)."""
     handle, found, rest = text.partition("=")
     if not found or handle not in HANDLES or len(handle) != 1:
         raise CommandError(4)
-    parts = split(rest)
+    parts = split_fields(rest)
     name = array_name(parts.pop()) if parts[-1].endswith("]") else ""
     if not parts or not all(parts):
         raise CommandError(50)
-    numbers = [integer(part) for part in parts]
+    numbers = [compile_integer(part) for part in parts]
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         given = [number(c) for number in numbers]
         if given[0] == RAW:
             given.insert(0, HANDLES.index(handle) + 1)
@@ -195,60 +195,60 @@ def _modbus(text: str) -> Runner:
             raise CommandError(50)
         if given[1] not in FUNCTIONS:
             raise CommandError(127)
-        peer = _peer(c, handle)
-        _transmit(peer, given, c.machine.data.array(name) if name else [])
+        peer = _find_peer(c, handle)
+        _transmit_modbus(peer, given, c.machine.data.get_array(name) if name else [])
         if not c.machine.modbus_wait:
             return None
-        return when(lambda machine, now: peer.asked != WAITING)
+        return when_passed(lambda machine, now: peer.send_state != WAITING)
 
-    return run
+    return run_command
 
 
-def _transmit(peer: Peer, given: list[int], array: list[int]) -> None:
-    """Make the packet of a function from its numbers, and put what comes back into the array."""
+def _transmit_modbus(peer: PeerHandle, given: list[int], array: list[int]) -> None:
+    """Build the packet of a function from its numbers, and store the reply in the array."""
     unit, function, *numbers = given
-    words = [fixed.truncated(raw) for raw in array]
+    words = [fixed.to_integer(raw) for raw in array]
     if len(numbers) != NUMBERS[function]:
         raise CommandError(50)
     start, count = [*numbers, 0, 0][:2]
     if function == RAW:
-        peer.exchange(bytes(word & 0xFF for word in words[:start]), lambda heard: _store(array, list(heard)))
+        peer.send_packet(bytes(word & 0xFF for word in words[:start]), lambda heard: _store_values(array, list(heard)))
         return
     payload = struct.pack(">HH", start & 0xFFFF, count & 0xFFFF) if numbers else b""
     if function == 5:
         payload = struct.pack(">HH", start & 0xFFFF, 0xFF00 if count else 0)
     elif function == 15:
-        data = packed(words[:count])
+        data = pack_bits(words[:count])
         payload += bytes([len(data)]) + data
     elif function == 16:
         payload += bytes([2 * count]) + b"".join(struct.pack(">H", word & 0xFFFF) for word in words[:count])
 
-    def take(data: bytes) -> None:
+    def store_reply(data: bytes) -> None:
         if function in (1, 2):
-            _store(array, bits(data[1:], count))
+            _store_values(array, unpack_bits(data[1:], count))
         elif function in (3, 4):
-            _store(array, [word for (word,) in struct.iter_unpack(">H", data[1 : 1 + len(data[1:]) // 2 * 2])])
+            _store_values(array, [word for (word,) in struct.iter_unpack(">H", data[1 : 1 + len(data[1:]) // 2 * 2])])
         elif function in (7, 17):
-            _store(array, list(data))
+            _store_values(array, list(data))
 
-    transact(peer, request(unit & 0xFF, function, payload), take)
+    send_request(peer, build_request(unit & 0xFF, function, payload), store_reply)
 
 
-def _store(array: list[int], values: list[int]) -> bool:
+def _store_values(array: list[int], values: list[int]) -> bool:
     for index, value in enumerate(values[: len(array)]):
-        array[index] = fixed.whole(value)
+        array[index] = fixed.from_integer(value)
     return True
 
 
 NUMBERS = {RAW: 1, 1: 2, 2: 2, 3: 2, 4: 2, 5: 2, 6: 2, 7: 0, 15: 2, 16: 2, 17: 0}
-"""Numbers behind the function; the array is not among them."""
+"""Numbers after the function; the array is not among them."""
 
 
-@command("TH")
-def _tell_handles(text: str) -> Runner:
-    bare(text)
+@register_command("TH")
+def _compile_tell_handles(text: str) -> Runner:
+    require_bare(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
         serial = machine.options.serial_number
         lines = [
@@ -266,12 +266,12 @@ def _tell_handles(text: str) -> Runner:
             else:
                 lines.append(f"IH{name} AVAILABLE")
         written = "\r\n".join(lines)
-        return report(c, written)
+        return report_text(c, written)
 
-    return run
+    return run_command
 
 
-@command("WH")
-def _which_handle(text: str) -> Runner:
-    bare(text)
-    return lambda c: report(c, "RS232" if c.port is None or c.port.name == "S" else f"IH{c.port.name}")
+@register_command("WH")
+def _compile_which_handle(text: str) -> Runner:
+    require_bare(text)
+    return lambda c: report_text(c, "RS232" if c.port is None or c.port.name == "S" else f"IH{c.port.name}")

@@ -5,35 +5,35 @@ from collections.abc import Callable
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.status import report
-from sim.yaskawa.language.arguments import parse_fields, split, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import compile_expression, integer
-from sim.yaskawa.language.registry import Outcome, Runner, command
-from sim.yaskawa.motion.trippoints import when
-from sim.yaskawa.program.editor import Editor
+from sim.yaskawa.commands.status import report_text
+from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_expression, compile_integer
+from sim.yaskawa.language.registry import Outcome, Runner, register_command
+from sim.yaskawa.motion.trippoints import when_passed
+from sim.yaskawa.program.editor import ProgramEditor
 from sim.yaskawa.program.interpreter import NO_BREAK
-from sim.yaskawa.program.threads import Thread
+from sim.yaskawa.program.threads import ProgramThread
 
 
-def thread_of(c: Context) -> Thread:
-    """The thread that runs the command."""
+def running_thread(c: CommandContext) -> ProgramThread:
+    """Return the thread that runs the command."""
     if c.thread is None:
         raise CommandError(2)
     return c.thread
 
 
-def _location(text: str) -> Callable[[Context], int]:
+def _compile_location(text: str) -> Callable[[CommandContext], int]:
     """A label, `#L+n`, or a line number (L5671)."""
     if text.startswith("#"):
         label, found, extra = text[1:].partition("+")
-        offset = integer(extra) if found else None
-        return lambda c: _line(c, c.machine.program.line_of(label) + (offset(c) if offset is not None else 0))
-    value = integer(text)
-    return lambda c: _line(c, value(c))
+        offset = compile_integer(extra) if found else None
+        return lambda c: _check_line(c, c.machine.program.find_label(label) + (offset(c) if offset is not None else 0))
+    value = compile_integer(text)
+    return lambda c: _check_line(c, value(c))
 
 
-def _line(c: Context, number: int) -> int:
+def _check_line(c: CommandContext, number: int) -> int:
     if not 0 <= number < c.machine.model.room.lines:
         raise CommandError(11)
     if number >= len(c.machine.program.lines):
@@ -41,133 +41,133 @@ def _line(c: Context, number: int) -> int:
     return number
 
 
-@command("XQ")
-def _execute(text: str) -> Runner:
-    parts = split(text)
-    location = _location(parts[0]) if parts[0] else None
-    number = integer(parts[1]) if len(parts) > 1 and parts[1] else None
-    index = integer(parts[2]) if len(parts) > 2 else None
+@register_command("XQ")
+def _compile_execute(text: str) -> Runner:
+    parts = split_fields(text)
+    location = _compile_location(parts[0]) if parts[0] else None
+    number = compile_integer(parts[1]) if len(parts) > 1 and parts[1] else None
+    index = compile_integer(parts[2]) if len(parts) > 2 else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         interpreter = c.machine.interpreter
         thread = number(c) if number is not None else 0
         if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
-        line = location(c) if location is not None else _line(c, 0)
+        line = location(c) if location is not None else _check_line(c, 0)
         if interpreter.threads[thread].running:
             raise CommandError(19)
-        interpreter.threads[thread].start(line, index(c) if index is not None else 0, c.machine.now())
+        interpreter.threads[thread].start_at(line, index(c) if index is not None else 0, c.machine.current_sample())
         return None
 
-    return run
+    return run_command
 
 
-@command("HX")
-def _halt(text: str) -> Runner:
-    number = integer(text) if text else None
+@register_command("HX")
+def _compile_halt(text: str) -> Runner:
+    number = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         if number is None:
             c.machine.interpreter.halt_all()
             return None
         thread = number(c)
         if not 0 <= thread < c.machine.model.threads:
             raise CommandError(6)
-        c.machine.interpreter.threads[thread].halt()
+        c.machine.interpreter.threads[thread].halt_thread()
         return None
 
-    return run
+    return run_command
 
 
-def _jump(text: str) -> tuple[Callable[[Context], int], Callable[[Context], int] | None]:
-    parts = split(text)
+def _parse_jump(text: str) -> tuple[Callable[[CommandContext], int], Callable[[CommandContext], int] | None]:
+    parts = split_fields(text)
     if len(parts) > 2 or not parts[0]:
         raise CommandError(4)
-    return _location(parts[0]), compile_expression(parts[1]) if len(parts) == 2 else None
+    return _compile_location(parts[0]), compile_expression(parts[1]) if len(parts) == 2 else None
 
 
-@command("JP", where="program")
-def _jump_to(text: str) -> Runner:
-    location, condition = _jump(text)
+@register_command("JP", where="program")
+def _compile_jump_to(text: str) -> Runner:
+    location, condition = _parse_jump(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         if condition is None or condition(c):
-            c.machine.interpreter.jump(thread_of(c), location(c))
+            c.machine.interpreter.jump_to(running_thread(c), location(c))
         return None
 
-    return run
+    return run_command
 
 
-@command("JS", where="program")
-def _subroutine(text: str) -> Runner:
-    location, condition = _jump(text)
+@register_command("JS", where="program")
+def _compile_subroutine(text: str) -> Runner:
+    location, condition = _parse_jump(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         if condition is not None and not condition(c):
             return None
-        thread, interpreter = thread_of(c), c.machine.interpreter
+        thread, interpreter = running_thread(c), c.machine.interpreter
         line = location(c)
-        if thread.index >= len(interpreter.line(thread.line)):
+        if thread.index >= len(interpreter.compiled_line(thread.line)):
             thread.line, thread.index = thread.line + 1, 0
         backward = line <= thread.line
-        thread.call(line)
+        thread.call_subroutine(line)
         if backward:
-            interpreter.tire(thread)
+            interpreter.count_loop(thread)
         return None
 
-    return run
+    return run_command
 
 
-@command("EN", where="program")
-def _end(text: str) -> Runner:
-    def run(c: Context) -> Outcome:
-        thread = thread_of(c)
+@register_command("EN", where="program")
+def _compile_end(text: str) -> Runner:
+    def run_command(c: CommandContext) -> Outcome:
+        thread = running_thread(c)
         if thread.stack:
-            thread.leave()
+            thread.leave_subroutine()
         else:
-            thread.halt()
+            thread.halt_thread()
         return None
 
-    return run
+    return run_command
 
 
-@command("IF", where="program")
-def _if(text: str) -> Runner:
+@register_command("IF", where="program")
+def _compile_if(text: str) -> Runner:
     if not text:
         raise CommandError(50)
     condition = compile_expression(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         if not condition(c):
-            c.machine.interpreter.skip_block(thread_of(c), to_else=True)
+            c.machine.interpreter.skip_block(running_thread(c), to_else=True)
         return None
 
-    return run
+    return run_command
 
 
-@command("ELSE", where="program")
-def _else(text: str) -> Runner:
-    def run(c: Context) -> Outcome:
-        c.machine.interpreter.skip_block(thread_of(c), to_else=False)
+@register_command("ELSE", where="program")
+def _compile_else(text: str) -> Runner:
+    def run_command(c: CommandContext) -> Outcome:
+        c.machine.interpreter.skip_block(running_thread(c), to_else=False)
         return None
 
-    return run
+    return run_command
 
 
-@command("ENDIF", where="program")
-def _endif(text: str) -> Runner:
+@register_command("ENDIF", where="program")
+def _compile_endif(text: str) -> Runner:
     return lambda c: None
 
 
-@command("ZS", where="program")
-def _zero_stack(text: str) -> Runner:
-    """`ZS ?` tells the depth (L11914)."""
+@register_command("ZS", where="program")
+def _compile_zero_stack(text: str) -> Runner:
+    """Set the stack; `ZS ?` reports the depth (L11914)."""
     if text == "?":
-        return lambda c: report(c, c.machine.show_value(fixed.whole(len(thread_of(c).stack))))
-    value = integer(text) if text else None
+        return lambda c: report_text(c, c.machine.format_variable(fixed.from_integer(len(running_thread(c).stack))))
+    value = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
-        thread = thread_of(c)
+    def run_command(c: CommandContext) -> Outcome:
+        thread = running_thread(c)
         number = value(c) if value is not None else 0
         if not 0 <= number <= 15:
             raise CommandError(6)
@@ -177,45 +177,45 @@ def _zero_stack(text: str) -> Runner:
             thread.stack.pop()
         return None
 
-    return run
+    return run_command
 
 
-def _return(op: str) -> None:
-    @command(op, where="program")
+def _register_return(op: str) -> None:
+    @register_command(op, where="program")
     def compile_return(text: str) -> Runner:
-        value = integer(text) if text else None
+        value = compile_integer(text) if text else None
 
-        def run(c: Context) -> Outcome:
-            thread = thread_of(c)
+        def run_command(c: CommandContext) -> Outcome:
+            thread = running_thread(c)
             restore = value(c) if value is not None else 0
             if op == "RI":
                 c.machine.interpreter.interrupts_on = c.machine.interpreter.interrupts != 0
             if thread.stack:
-                thread.leave(restore=restore == 1)
-                c.machine.interpreter.tire(thread)
+                thread.leave_subroutine(restore=restore == 1)
+                c.machine.interpreter.count_loop(thread)
             return None
 
-        return run
+        return run_command
 
     del compile_return
 
 
-_return("RE")
-_return("RI")
+_register_return("RE")
+_register_return("RI")
 
 
-@command("II")
-def _input_interrupt(text: str) -> Runner:
-    """Only a program sets it (L6019); anybody may ask for the mask (L6021)."""
+@register_command("II")
+def _compile_input_interrupt(text: str) -> Runner:
+    """Set the interrupt mask in a program only (L6019); reading the mask is always allowed (L6021)."""
     if text == "?":
-        return lambda c: report(c, c.machine.show_whole(c.machine.interpreter.interrupts, 3))
+        return lambda c: report_text(c, c.machine.format_integer(c.machine.interpreter.interrupts, 3))
     if not text:
         raise CommandError(50)
-    fields = values(parse_fields(text, 4))
+    fields = compile_values(parse_fields(text, 4))
 
-    def run(c: Context) -> Outcome:
-        thread_of(c)
-        given = [None if raw is None else fixed.truncated(raw) for raw in [*fields(c), None, None, None]]
+    def run_command(c: CommandContext) -> Outcome:
+        running_thread(c)
+        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
         first, last, mask, high = given[:4]
         interpreter = c.machine.interpreter
         if first is not None:
@@ -237,18 +237,18 @@ def _input_interrupt(text: str) -> Runner:
         interpreter.interrupts_on = selected != 0
         return None
 
-    return run
+    return run_command
 
 
 _TARGET = re.compile(r"[A-Za-z][A-Za-z0-9]*(\[.+\])?")
 _STRING = re.compile(r"S[1-6]?\}")
 
 
-@command("IN", where="program")
-def _input(text: str) -> Runner:
+@register_command("IN", where="program")
+def _compile_input(text: str) -> Runner:
     """`IN "prompt",NAME{So}`: thread 0 waits for a value for a variable or an array element (L16135)."""
     body = text[4:] if text.startswith("{P1}") else text
-    parts = split(body)
+    parts = split_fields(body)
     if len(parts) < 2:
         raise CommandError(65)
     name, _, form = parts[1].partition("{")
@@ -259,24 +259,24 @@ def _input(text: str) -> Runner:
     length = int(form[1:-1] or fixed.STRING_LENGTH) if form else 0
     prompt = parts[0].strip('"')
 
-    def run(c: Context) -> Outcome:
-        thread = thread_of(c)
+    def run_command(c: CommandContext) -> Outcome:
+        thread = running_thread(c)
         if thread.number:
             raise CommandError(71)
-        c.machine.ports.tell("S", prompt)
+        c.machine.ports.send_text("S", prompt)
         thread.input_for, thread.input_length = name, length
-        return when(lambda machine, now: not thread.input_for)
+        return when_passed(lambda machine, now: not thread.input_for)
 
-    return run
+    return run_command
 
 
-@command("BK", where="line")
-def _breakpoint(text: str) -> Runner:
-    fields = values(parse_fields(text, 2))
+@register_command("BK", where="line")
+def _compile_breakpoint(text: str) -> Runner:
+    fields = compile_values(parse_fields(text, 2))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         interpreter = c.machine.interpreter
-        given = [None if raw is None else fixed.truncated(raw) for raw in [*fields(c), None]]
+        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
         for thread in interpreter.threads:
             thread.paused = False
             thread.steps = 0
@@ -289,14 +289,14 @@ def _breakpoint(text: str) -> Runner:
         interpreter.break_at, interpreter.break_hit = (given[0], number), False
         return None
 
-    return run
+    return run_command
 
 
-@command("SL", where="line")
-def _single_step(text: str) -> Runner:
-    value = integer(text) if text else None
+@register_command("SL", where="line")
+def _compile_single_step(text: str) -> Runner:
+    value = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         interpreter = c.machine.interpreter
         lines = value(c) if value is not None else 1
         if lines < 1:
@@ -306,50 +306,50 @@ def _single_step(text: str) -> Runner:
                 thread.paused, thread.steps = False, lines
         return None
 
-    return run
+    return run_command
 
 
-@command("TR", lock="13")
-def _trace(text: str) -> Runner:
-    value = integer(text) if text else None
+@register_command("TR", lock="13")
+def _compile_trace(text: str) -> Runner:
+    value = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         number = value(c) if value is not None else 0
         if number not in (0, 1):
             raise CommandError(6)
         c.machine.interpreter.trace = number == 1
         return None
 
-    return run
+    return run_command
 
 
-@command("ED", where="line", lock="13")
-def _edit(text: str) -> Runner:
-    """The editor, at a line; without one at the last (L4536). Not in motion (L4549)."""
-    value = integer(text) if text else None
+@register_command("ED", where="line", lock="13")
+def _compile_edit(text: str) -> Runner:
+    """Start the editor, at a line; without one at the last (L4536). Not in motion (L4549)."""
+    value = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         if c.machine.interpreter.any_running():
             raise CommandError(17)
-        if c.machine.motion.active():
+        if c.machine.motion.is_active():
             raise CommandError(7)
         count = len(c.machine.program.lines)
         line = value(c) if value is not None else max(count - 1, 0)
         if not 0 <= line <= count:
             raise CommandError(11)
         if c.port is not None:
-            c.port.editor = Editor(c.port, line)
+            c.port.editor = ProgramEditor(c.port, line)
         return None
 
-    return run
+    return run_command
 
 
-@command("NO")
-def _no_operation(text: str) -> Runner:
+@register_command("NO")
+def _compile_no_operation(text: str) -> Runner:
     return lambda c: None
 
 
-def breakpoint_value(c: Context) -> int:
+def breakpoint_value(c: CommandContext) -> int:
     """`_BK`: minus the line when armed, the line when hit."""
     interpreter = c.machine.interpreter
     if interpreter.break_at is None:

@@ -5,47 +5,55 @@ from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.parameters import targets
-from sim.yaskawa.language.arguments import LETTERS, canonical, parse_axes, parse_fields, parse_form, split, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import Evaluator, compile_expression, integer
-from sim.yaskawa.language.registry import Outcome, Runner, command
-from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.commands.parameters import target_axes
+from sim.yaskawa.language.arguments import (
+    LETTERS,
+    canonical_axis,
+    compile_values,
+    parse_axes,
+    parse_fields,
+    parse_form,
+    split_fields,
+)
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import Evaluator, compile_expression, compile_integer
+from sim.yaskawa.language.registry import Outcome, Runner, register_command
+from sim.yaskawa.motion.axis import ServoAxis
 
 if TYPE_CHECKING:
-    from sim.yaskawa.machine import Machine
+    from sim.yaskawa.machine import ControllerCore
 
 
-def select_master(machine: "Machine", axis: Axis, source: str) -> None:
+def select_master(machine: "ControllerCore", axis: ServoAxis, source: str) -> None:
     """`GA` for one axis (L5426)."""
-    axis.gear.select(source, _master(machine, source), machine.timebase.next_sample())
+    axis.gear.select_master(source, _master_position(machine, source), machine.timebase.next_sample())
 
 
-def _master(machine: "Machine", source: str) -> Callable[[float], float]:
+def _master_position(machine: "ControllerCore", source: str) -> Callable[[float], float]:
     if source in ("S", "T"):
         system = machine.motion.systems[source]
-        return system.travelled
+        return system.travelled_distance
     if source == "N":
-        virtual = machine.axis("N")
-        return lambda at: virtual.travel(at, True)
-    axis = machine.axis(source[-1])
+        virtual = machine.find_axis("N")
+        return lambda at: virtual.follower_travel(at, True)
+    axis = machine.find_axis(source[-1])
     if source.startswith("D") and len(source) == 2:
         return lambda at: float(axis.auxiliary)
     commanded = len(source) == 2
-    return lambda at: axis.travel(at, commanded)
+    return lambda at: axis.follower_travel(at, commanded)
 
 
-@command("GA")
-def _gear_axis(text: str) -> Runner:
+@register_command("GA")
+def _compile_gear_axis(text: str) -> Runner:
     if text[1:2] == "=" and (text[0] in LETTERS + "ABCD*"):
-        pairs = [(canonical(text[0]), text[2:])]
+        pairs = [(canonical_axis(text[0]), text[2:])]
     elif text[:1] == "~" and text[2:3] == "=":
         pairs = [(text[:2], text[3:])]
     else:
-        pairs = [(letter, part) for letter, part in zip(LETTERS, split(text), strict=False) if part]
+        pairs = [(letter, part) for letter, part in zip(LETTERS, split_fields(text), strict=False) if part]
     masters: list[tuple[str, str]] = []
     for name, source in pairs:
-        place = canonical(source[-1:])
+        place = canonical_axis(source[-1:])
         if len(source) == 2 and source[0] in "CD" and place in LETTERS:
             masters.append((name, source[0] + place))
         elif len(source) == 1 and (place in LETTERS or source in "STN"):
@@ -57,64 +65,64 @@ def _gear_axis(text: str) -> Runner:
     if not masters:
         raise CommandError(50)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
         for name, source in masters:
-            for axis in targets(c, name):
-                if axis.moving:
+            for axis in target_axes(c, name):
+                if axis.is_moving:
                     raise CommandError(7)
-                real = machine.axis(source).name if source.startswith("~") else source
+                real = machine.find_axis(source).name if source.startswith("~") else source
                 if real in (axis.name, "C" + axis.name):
                     raise CommandError(46)
                 select_master(machine, axis, real)
         return None
 
-    return run
+    return run_command
 
 
-@command("GM")
-def _gantry(text: str) -> Runner:
+@register_command("GM")
+def _compile_gantry(text: str) -> Runner:
     if not text:
         raise CommandError(50)
     form = parse_form(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         for name, field in form:
             if field is None or isinstance(field, str):
                 raise CommandError(51)
-            value = fixed.truncated(field(c))
+            value = fixed.to_integer(field(c))
             if value not in (0, 1):
                 raise CommandError(6)
-            for axis in targets(c, name):
+            for axis in target_axes(c, name):
                 axis.gear.gantry = bool(value)
         return None
 
-    return run
+    return run_command
 
 
-@command("EA")
-def _cam_master(text: str) -> Runner:
+@register_command("EA")
+def _compile_cam_master(text: str) -> Runner:
     names = parse_axes(text, LETTERS + "N")
     if len(names) != 1:
         raise CommandError(4)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         cam = c.machine.motion.cam
         if cam.followers:
             raise CommandError(100)
-        cam.master = c.machine.axis(names[0]).name
+        cam.master = c.machine.find_axis(names[0]).name
         return None
 
-    return run
+    return run_command
 
 
-@command("EB")
-def _cam_enable(text: str) -> Runner:
+@register_command("EB")
+def _compile_cam_enable(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_whole(int(c.machine.motion.cam.enabled), 1)
-    value = integer(text)
+        return lambda c: c.machine.format_integer(int(c.machine.motion.cam.enabled), 1)
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
         cam = motion.cam
         wanted = value(c)
@@ -123,70 +131,70 @@ def _cam_enable(text: str) -> Runner:
         if wanted:
             if cam.master is None:
                 raise CommandError(102)
-            if cam.cycle > (cam.points - 1) * cam.interval:
+            if cam.effective_cycle > (cam.points - 1) * cam.interval:
                 raise CommandError(103)
-            motion.camming.modularise(cam.cycle)
+            motion.camming.set_modulus(cam.effective_cycle)
         else:
             now = c.machine.timebase.next_sample()
             for name in tuple(cam.followers):
-                motion.camming.disengage(motion.axes[name], now)
+                motion.camming.disengage_slave(motion.axes[name], now)
             cam.waiting.clear()
-            motion.camming.modularise(0)
+            motion.camming.set_modulus(0)
         cam.enabled = bool(wanted)
         return None
 
-    return run
+    return run_command
 
 
-@command("EC")
-def _cam_counter(text: str) -> Runner:
+@register_command("EC")
+def _compile_cam_counter(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(fixed.whole(c.machine.motion.cam.index))
-    value = integer(text)
+        return lambda c: c.machine.format_variable(fixed.from_integer(c.machine.motion.cam.index))
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         index = value(c)
         if not 0 <= index < c.machine.motion.cam.points:
             raise CommandError(6)
         c.machine.motion.cam.index = index
         return None
 
-    return run
+    return run_command
 
 
-@command("EP")
-def _cam_interval(text: str) -> Runner:
+@register_command("EP")
+def _compile_cam_interval(text: str) -> Runner:
     if text in ("?", "?,?", ",?"):
         return lambda c: _show_interval(c, text)
     if not text:
         raise CommandError(50)
-    fields = values(parse_fields(text, 2))
+    fields = compile_values(parse_fields(text, 2))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         cam = c.machine.motion.cam
         given = [*fields(c), None]
         if cam.followers:
             raise CommandError(100)
         if given[0] is not None:
-            interval = fixed.truncated(given[0])
+            interval = fixed.to_integer(given[0])
             if not 1 <= interval <= 32767:
                 raise CommandError(6)
             cam.interval = interval
         if given[1] is not None:
-            cam.start = fixed.truncated(given[1])
+            cam.start = fixed.to_integer(given[1])
         return None
 
-    return run
+    return run_command
 
 
-def _show_interval(c: Context, text: str) -> str:
+def _show_interval(c: CommandContext, text: str) -> str:
     cam = c.machine.motion.cam
     both = zip((cam.interval, cam.start), text.split(","), strict=False)
-    return ",".join(c.machine.show_counts(number) for number, mark in both if mark)
+    return ",".join(c.machine.format_counts(number) for number, mark in both if mark)
 
 
-@command("ET")
-def _cam_table(text: str) -> Runner:
+@register_command("ET")
+def _compile_cam_table(text: str) -> Runner:
     index: Evaluator | None = None
     body = text
     if text.startswith("["):
@@ -196,25 +204,25 @@ def _cam_table(text: str) -> Runner:
         index = compile_expression(place)
     if not body:
         raise CommandError(50)
-    fields = values(parse_fields(body))
+    fields = compile_values(parse_fields(body))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         cam = c.machine.motion.cam
-        number = fixed.truncated(index(c)) if index is not None else cam.index
+        number = fixed.to_integer(index(c)) if index is not None else cam.index
         if not 0 <= number < cam.points:
             raise CommandError(101)
         for letter, raw in zip(LETTERS, fields(c), strict=False):
             if raw is not None:
-                cam.store(c.machine.axis(letter).name, number, fixed.truncated(raw))
+                cam.store_point(c.machine.find_axis(letter).name, number, fixed.to_integer(raw))
         if index is None:
             cam.index = min(number + 1, cam.points - 1)
         return None
 
-    return run
+    return run_command
 
 
-def engagement(op: str) -> Callable[[str], Runner]:
-    """The compiler of EG or EQ."""
+def engagement_compiler(op: str) -> Callable[[str], Runner]:
+    """Make the compiler of EG or EQ."""
 
     def compile_engagement(text: str) -> Runner:
         if not text:
@@ -224,12 +232,12 @@ def engagement(op: str) -> Callable[[str], Runner]:
             if op == "EG":
                 raise CommandError(51)
             return lambda c: ",".join(
-                c.machine.show_value(fixed.whole(waiting(c, axis.name)))
+                c.machine.format_variable(fixed.from_integer(waiting_state(c, axis.name)))
                 for name, _ in form
-                for axis in targets(c, name)
+                for axis in target_axes(c, name)
             )
 
-        def run(c: Context) -> Outcome:
+        def run_command(c: CommandContext) -> Outcome:
             motion, cam = c.machine.motion, c.machine.motion.cam
             camming = motion.camming
             at = c.machine.timebase.next_sample()
@@ -238,38 +246,38 @@ def engagement(op: str) -> Callable[[str], Runner]:
             for name, field in form:
                 if field is None or isinstance(field, str):
                     raise CommandError(51)
-                place = fixed.truncated(field(c))
-                for axis in targets(c, name):
+                place = fixed.to_integer(field(c))
+                for axis in target_axes(c, name):
                     if axis.name == cam.master:
                         raise CommandError(4)
-                    if axis.moving:
+                    if axis.is_moving:
                         raise CommandError(7)
                     if op == "EG" and axis.motor_off:
                         raise CommandError(20)
-                    if cam.start <= place < cam.start + cam.cycle:
+                    if cam.start <= place < cam.start + cam.effective_cycle:
                         if not motion.figures.cycles_by_turns:
                             cam.waiting.pop((axis.name, "EQ" if op == "EG" else "EG"), None)
                         cam.waiting[axis.name, op] = place
-                        here = motion.camming.master(at)
-                        if (here - place) % cam.cycle == 0:
+                        here = motion.camming.master_position(at)
+                        if (here - place) % cam.effective_cycle == 0:
                             del cam.waiting[axis.name, op]
-                            (camming.engage if op == "EG" else camming.disengage)(axis, at)
+                            (camming.engage_slave if op == "EG" else camming.disengage_slave)(axis, at)
                     elif op == "EG":
-                        camming.engage(axis, at)
+                        camming.engage_slave(axis, at)
                     elif axis.mode == "cam":
-                        camming.disengage(axis, at)
+                        camming.disengage_slave(axis, at)
             return None
 
-        return run
+        return run_command
 
     return compile_engagement
 
 
-def waiting(c: Context, name: str) -> int:
+def waiting_state(c: CommandContext, name: str) -> int:
     """`_EQx`: 1 waiting to engage, 2 waiting to disengage, 3 both (SMC-2000: L8634), 0 otherwise."""
     waits = c.machine.motion.cam.waiting
     return ((name, "EG") in waits) + 2 * ((name, "EQ") in waits)
 
 
-command("EG")(engagement("EG"))
-command("EQ")(engagement("EQ"))
+register_command("EG")(engagement_compiler("EG"))
+register_command("EQ")(engagement_compiler("EQ"))

@@ -6,256 +6,265 @@ from sim.yaskawa.base import fixed
 from sim.yaskawa.base.data import ARRAYS
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.commands import status
-from sim.yaskawa.commands.contour import full
+from sim.yaskawa.commands.contour import contour_full
 from sim.yaskawa.commands.flow import breakpoint_value
-from sim.yaskawa.commands.gear import waiting
-from sim.yaskawa.commands.motion import distance
-from sim.yaskawa.commands.sequence import OPERAND_READERS, system_of
+from sim.yaskawa.commands.gear import waiting_state
+from sim.yaskawa.commands.motion import move_distance
+from sim.yaskawa.commands.sequence import OPERAND_READERS, find_system
 from sim.yaskawa.commands.system import HANDLES, UNUSED
-from sim.yaskawa.language.arguments import LETTERS, canonical
-from sim.yaskawa.language.context import Context
+from sim.yaskawa.language.arguments import LETTERS, canonical_axis
+from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import Evaluator
 from sim.yaskawa.language.parameters import SMC4000
-from sim.yaskawa.language.registry import OPERANDS, operand
-from sim.yaskawa.motion.axis import Axis
-from sim.yaskawa.motion.sequence import System
+from sim.yaskawa.language.registry import OPERANDS, register_operand
+from sim.yaskawa.motion.axis import ServoAxis
+from sim.yaskawa.motion.sequence import CoordinateSystem
 from sim.yaskawa.smc2000.parameters import SMC2000
 
 _SPEED_TO_REGISTER = 1024
 
 
 def _axis_name(suffix: str) -> str:
-    """The axis an operand is about; X when none is given."""
+    """Return the axis of an operand; X when none is given."""
     if not suffix:
         return "X"
-    name = suffix if suffix.startswith("~") else canonical(suffix)
+    name = suffix if suffix.startswith("~") else canonical_axis(suffix)
     if not name.startswith("~") and name not in LETTERS + "N":
         raise CommandError(58)
     return name
 
 
-def of_axis(
+def register_axis_operand(
     op: str,
-    read: Callable[[Context, Axis], int],
+    read: Callable[[CommandContext, ServoAxis], int],
     *,
     raw: bool = False,
     virtual: bool = False,
     table: dict[str, Callable[[str], Evaluator]] = OPERANDS,
 ) -> None:
-    """Enter an operand of one axis; `raw` when `read` gives units of 1/65536. virtual: axis N has it, too."""
+    """Register an operand of one axis; `raw` when `read` gives units of 1/65536.
+
+    virtual: axis N has it, too."""
 
     def compile_axis(suffix: str) -> Evaluator:
         name = _axis_name(suffix)
         factor = 1 if raw else fixed.ONE
 
-        def evaluate(c: Context) -> int:
-            axis = c.machine.axis(name)
+        def evaluate_axis(c: CommandContext) -> int:
+            axis = c.machine.find_axis(name)
             if axis.virtual and not virtual:
                 raise CommandError(58)
             return read(c, axis) * factor
 
-        return evaluate
+        return evaluate_axis
 
-    operand(op, table=table)(compile_axis)
+    register_operand(op, table=table)(compile_axis)
 
 
-def _register(op: str) -> None:
-    def read(c: Context, axis: Axis) -> int:
+def _register_parameter(op: str) -> None:
+    def read_value(c: CommandContext, axis: ServoAxis) -> int:
         return axis.registers[op]
 
-    of_axis(op, read, raw=True, virtual=op in SMC4000 and SMC4000[op].virtual)
+    register_axis_operand(op, read_value, raw=True, virtual=op in SMC4000 and SMC4000[op].virtual)
 
 
 for _op in SMC4000.keys() | SMC2000.keys():
     if _op not in ("PA", "JG", "PR"):
-        _register(_op)
+        _register_parameter(_op)
 
 
-def _absolute_position(c: Context, axis: Axis) -> int:
-    """`_PA`: start position while moving, commanded position else (D46)."""
-    return axis.move_start if axis.moving else axis.reported(axis.reference(c.machine.now()))
+def _absolute_position(c: CommandContext, axis: ServoAxis) -> int:
+    """`_PA`: start position while moving, commanded position otherwise (D46)."""
+    return axis.move_start if axis.is_moving else axis.report_counts(axis.reference_at(c.machine.current_sample()))
 
 
-def _begun(c: Context, axis: Axis) -> int:
-    return int(axis.moving)
+def _motion_begun(c: CommandContext, axis: ServoAxis) -> int:
+    return int(axis.is_moving)
 
 
-of_axis("PA", _absolute_position, virtual=True)
-of_axis("PR", distance, virtual=True)
-of_axis("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True, virtual=True)
-of_axis("BG", _begun, virtual=True)
-of_axis("MO", lambda c, axis: int(axis.motor_off))
-of_axis("SC", lambda c, axis: axis.stop_code, virtual=True)
-of_axis("TS", status.switches)
-of_axis("AL", lambda c, axis: int(axis.latch_armed))
-of_axis("TP", status.encoder, virtual=True)
-of_axis("DP", status.encoder, virtual=True)
-of_axis("IP", status.reference)
-of_axis("RP", status.reference, virtual=True)
-of_axis("SH", status.reference)
-of_axis("TE", status.error)
-of_axis("TD", status.auxiliary)
-of_axis("DE", lambda c, axis: axis.auxiliary)
-of_axis("QP", status.unmodularised)
-of_axis("QA", status.auxiliary)
-of_axis("RL", status.latched)
-of_axis("RU", status.latched)
-of_axis("TV", status.velocity)
-of_axis("TT", status.volts, raw=True)
-of_axis("TY", lambda c, axis: axis.absolute)
-of_axis("GM", lambda c, axis: int(axis.gear.gantry))
-of_axis("EG", lambda c, axis: int(axis.mode == "cam"))
-of_axis("EQ", lambda c, axis: waiting(c, axis.name))
-of_axis("LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.now())))
-of_axis("LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.now())))
-of_axis("HM", lambda c, axis: int(status.home_inactive(c, axis)))
+register_axis_operand("PA", _absolute_position, virtual=True)
+register_axis_operand("PR", move_distance, virtual=True)
+register_axis_operand("JG", lambda c, axis: abs(axis.registers["JG"]), raw=True, virtual=True)
+register_axis_operand("BG", _motion_begun, virtual=True)
+register_axis_operand("MO", lambda c, axis: int(axis.motor_off))
+register_axis_operand("SC", lambda c, axis: axis.stop_code, virtual=True)
+register_axis_operand("TS", status.switch_states)
+register_axis_operand("AL", lambda c, axis: int(axis.latch_armed))
+register_axis_operand("TP", status.encoder_position, virtual=True)
+register_axis_operand("DP", status.encoder_position, virtual=True)
+register_axis_operand("IP", status.reference_position)
+register_axis_operand("RP", status.reference_position, virtual=True)
+register_axis_operand("SH", status.reference_position)
+register_axis_operand("TE", status.position_error)
+register_axis_operand("TD", status.auxiliary_position)
+register_axis_operand("DE", lambda c, axis: axis.auxiliary)
+register_axis_operand("QP", status.unmodularised_position)
+register_axis_operand("QA", status.auxiliary_position)
+register_axis_operand("RL", status.latched_position)
+register_axis_operand("RU", status.latched_position)
+register_axis_operand("TV", status.average_velocity)
+register_axis_operand("TT", status.torque_volts, raw=True)
+register_axis_operand("TY", lambda c, axis: axis.absolute)
+register_axis_operand("GM", lambda c, axis: int(axis.gear.gantry))
+register_axis_operand("EG", lambda c, axis: int(axis.mode == "cam"))
+register_axis_operand("EQ", lambda c, axis: waiting_state(c, axis.name))
+register_axis_operand(
+    "LF", lambda c, axis: int(not c.machine.motion.limit_active(axis, True, c.machine.current_sample()))
+)
+register_axis_operand(
+    "LR", lambda c, axis: int(not c.machine.motion.limit_active(axis, False, c.machine.current_sample()))
+)
+register_axis_operand("HM", lambda c, axis: int(status.home_inactive(c, axis)))
 
 
-def _of_system(op: str, read: Callable[[Context, System], float]) -> None:
+def _register_system_operand(op: str, read: Callable[[CommandContext, CoordinateSystem], float]) -> None:
     def compile_system(suffix: str) -> Evaluator:
         if suffix not in ("", "S", "T"):
             raise CommandError(58)
-        return lambda c: fixed.of(read(c, system_of(c, suffix)))
+        return lambda c: fixed.from_real(read(c, find_system(c, suffix)))
 
-    operand(op)(compile_system)
+    register_operand(op)(compile_system)
 
 
-def _of_system_register(op: str, read: Callable[[System], float]) -> None:
-    _of_system(op, lambda c, system: read(system))
+def _register_system_register(op: str, read: Callable[[CoordinateSystem], float]) -> None:
+    _register_system_operand(op, lambda c, system: read(system))
 
 
 for _op, _read in OPERAND_READERS.items():
-    _of_system_register(_op, _read)
-_of_system("AV", lambda c, system: system.travelled(c.machine.now()))
-_of_system("CS", lambda c, system: _segment(c, system))
-_of_system("LM", lambda c, system: system.free(c.machine.now()))
-_of_system("LE", lambda c, system: system.length)
-_of_system("VE", lambda c, system: system.length)
-_of_system("VM", lambda c, system: system.velocity(c.machine.now()) * _SPEED_TO_REGISTER if system.running else 0.0)
-_of_system("TN", lambda c, system: _first_tangent(system))
+    _register_system_register(_op, _read)
+_register_system_operand("AV", lambda c, system: system.travelled_distance(c.machine.current_sample()))
+_register_system_operand("CS", lambda c, system: _segment_number(c, system))
+_register_system_operand("LM", lambda c, system: system.free_entries(c.machine.current_sample()))
+_register_system_operand("LE", lambda c, system: system.length)
+_register_system_operand("VE", lambda c, system: system.length)
+_register_system_operand(
+    "VM",
+    lambda c, system: system.path_velocity(c.machine.current_sample()) * _SPEED_TO_REGISTER if system.running else 0.0,
+)
+_register_system_operand("TN", lambda c, system: _first_tangent(system))
 
 
-def _segment(c: Context, system: System) -> int:
+def _segment_number(c: CommandContext, system: CoordinateSystem) -> int:
     contour = c.machine.motion.contour
     if contour is not None and not system.running:
         return contour.count
-    return system.index(c.machine.now())
+    return system.segment_index(c.machine.current_sample())
 
 
-def _first_tangent(system: System) -> float:
-    """Position of the tangent axis at the first point (L10790)."""
+def _first_tangent(system: CoordinateSystem) -> float:
+    """Return the position of the tangent axis at the first point (L10790)."""
     if not system.segments:
         return 0.0
-    return system.tangent_zero + system.tangent_scale * system.segments[0].heading(0.0)
+    return system.tangent_zero + system.tangent_scale * system.segments[0].heading_at(0.0)
 
 
-@operand("VP")
-def _vector_position(suffix: str) -> Evaluator:
+@register_operand("VP")
+def _compile_vector_position(suffix: str) -> Evaluator:
     name = _axis_name(suffix)
 
-    def read(c: Context) -> int:
-        axis = c.machine.axis(name).name
+    def read_value(c: CommandContext) -> int:
+        axis = c.machine.find_axis(name).name
         for system in c.machine.motion.systems.values():
             if axis in system.axes:
                 index = system.axes.index(axis)
-                return fixed.of(system.intersection(c.machine.now())[index])
+                return fixed.from_real(system.segment_start(c.machine.current_sample())[index])
         return 0
 
-    return read
+    return read_value
 
 
-def of_machine(
+def register_machine_operand(
     op: str,
-    read: Callable[[Context], int],
+    read: Callable[[CommandContext], int],
     suffixes: tuple[str, ...] = ("",),
     table: dict[str, Callable[[str], Evaluator]] = OPERANDS,
 ) -> None:
-    """Enter an operand of the whole controller."""
+    """Register an operand of the whole controller."""
 
     def compile_plain(suffix: str) -> Evaluator:
         if suffix not in suffixes:
             raise CommandError(58)
-        return lambda c: fixed.whole(read(c))
+        return lambda c: fixed.from_integer(read(c))
 
-    operand(op, table=table)(compile_plain)
-
-
-of_machine("AB", lambda c: int(not c.machine.motion.abort_input))
-of_machine("AE", lambda c: c.machine.last_encoder, ("", *LETTERS[:4], *"ABCD"))
-of_machine("BK", breakpoint_value)
-of_machine("BN", lambda c: c.machine.options.serial_number)
-of_machine("BV", lambda c: 0)
-of_machine("CA", lambda c: int(c.machine.system_letter == "T"))
-of_machine("CF", lambda c: ord(c.machine.unsolicited_port))
-of_machine("CM", full)
-of_machine("CW", lambda c: c.machine.unsolicited_mode)
-of_machine("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
-of_machine("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
-of_machine("DM", lambda c: c.machine.data.free_elements())
-of_machine("DT", lambda c: c.machine.motion.contour_interval)
-of_machine("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
-of_machine("EB", lambda c: int(c.machine.motion.cam.enabled))
-of_machine("EC", lambda c: c.machine.motion.cam.index)
-of_machine("EP", lambda c: c.machine.motion.cam.interval)
-of_machine("EO", lambda c: int(c.machine.echo))
-of_machine("ES", lambda c: system_of(c).ellipse_terms[0])
-of_machine("HW", lambda c: _own_handle(c))
-of_machine("WH", lambda c: _own_handle(c))
-of_machine("II", lambda c: c.machine.interpreter.interrupts)
-of_machine("LC", lambda c: c.machine.locked)
-of_machine("LS", lambda c: _line_count(c))
-of_machine("LZ", lambda c: int(c.machine.layout.strip_zeros))
-of_machine("MW", lambda c: int(c.machine.modbus_wait))
-of_machine("OP", lambda c: c.machine.io.outputs, ("", "0", "X"))
-of_machine("RC", lambda c: int(c.machine.recorder.running))
-of_machine("RD", lambda c: c.machine.recorder.index)
-of_machine("TB", status.general)
-of_machine("TC", lambda c: c.machine.error_code, ("", "0", "1"))
-of_machine("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
-of_machine("TM", lambda c: c.machine.timebase.period_us)
-of_machine("TR", lambda c: int(c.machine.interpreter.trace))
-of_machine("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
+    register_operand(op, table=table)(compile_plain)
 
 
-def _line_count(c: Context) -> int:
-    """`_LS`: minus the number of lines while no program runs, else the line to return to (L7108)."""
+register_machine_operand("AB", lambda c: int(not c.machine.motion.abort_input))
+register_machine_operand("AE", lambda c: c.machine.last_encoder, ("", *LETTERS[:4], *"ABCD"))
+register_machine_operand("BK", breakpoint_value)
+register_machine_operand("BN", lambda c: c.machine.options.serial_number)
+register_machine_operand("BV", lambda c: 0)
+register_machine_operand("CA", lambda c: int(c.machine.system_letter == "T"))
+register_machine_operand("CF", lambda c: ord(c.machine.unsolicited_port))
+register_machine_operand("CM", contour_full)
+register_machine_operand("CW", lambda c: c.machine.unsolicited_mode)
+register_machine_operand("DA", lambda c: ARRAYS - len(c.machine.data.arrays))
+register_machine_operand("DL", lambda c: c.machine.model.room.labels - len(c.machine.program.labels))
+register_machine_operand("DM", lambda c: c.machine.data.free_elements())
+register_machine_operand("DT", lambda c: c.machine.motion.contour_interval)
+register_machine_operand("EA", lambda c: "XYZWN".find(c.machine.motion.cam.master or "?"))
+register_machine_operand("EB", lambda c: int(c.machine.motion.cam.enabled))
+register_machine_operand("EC", lambda c: c.machine.motion.cam.index)
+register_machine_operand("EP", lambda c: c.machine.motion.cam.interval)
+register_machine_operand("EO", lambda c: int(c.machine.echo))
+register_machine_operand("ES", lambda c: find_system(c).ellipse_terms[0])
+register_machine_operand("HW", lambda c: _own_handle(c))
+register_machine_operand("WH", lambda c: _own_handle(c))
+register_machine_operand("II", lambda c: c.machine.interpreter.interrupts)
+register_machine_operand("LC", lambda c: c.machine.locked)
+register_machine_operand("LS", lambda c: _line_count(c))
+register_machine_operand("LZ", lambda c: int(c.machine.layout.strip_zeros))
+register_machine_operand("MW", lambda c: int(c.machine.modbus_wait))
+register_machine_operand("OP", lambda c: c.machine.io.outputs, ("", "0", "X"))
+register_machine_operand("RC", lambda c: int(c.machine.recorder.running))
+register_machine_operand("RD", lambda c: c.machine.recorder.index)
+register_machine_operand("TB", status.general_status)
+register_machine_operand("TC", lambda c: c.machine.error_code, ("", "0", "1"))
+register_machine_operand("TI", lambda c: c.machine.io.input_byte(), ("", "0", "X"))
+register_machine_operand("TM", lambda c: c.machine.timebase.period_us)
+register_machine_operand("TR", lambda c: int(c.machine.interpreter.trace))
+register_machine_operand("UL", lambda c: c.machine.model.room.variables - len(c.machine.data.variables))
+
+
+def _line_count(c: CommandContext) -> int:
+    """`_LS`: minus the number of lines while no program runs, otherwise the line to return to (L7108)."""
     return return_line(c) if c.machine.interpreter.any_running() else -len(c.machine.program.lines)
 
 
-def return_line(c: Context) -> int:
-    """The line after the present subroutine, 0 outside (SMC-2000: L1651)."""
+def return_line(c: CommandContext) -> int:
+    """Return the line after the present subroutine, 0 outside (SMC-2000: L1651)."""
     thread = c.thread or c.machine.interpreter.threads[0]
     return thread.stack[-1].line if thread.stack else 0
 
 
-def _own_handle(c: Context) -> int:
+def _own_handle(c: CommandContext) -> int:
     return -1 if c.port is None or c.port.name == "S" else HANDLES.index(c.port.name)
 
 
-@operand("PF")
-def _position_format(suffix: str) -> Evaluator:
-    return lambda c: c.machine.position_format.value
+@register_operand("PF")
+def _compile_position_format(suffix: str) -> Evaluator:
+    return lambda c: c.machine.position_format.as_number
 
 
-@operand("VF")
-def _variable_format(suffix: str) -> Evaluator:
-    return lambda c: c.machine.variable_format.value
+@register_operand("VF")
+def _compile_variable_format(suffix: str) -> Evaluator:
+    return lambda c: c.machine.variable_format.as_number
 
 
-@operand("CN")
-def _polarity(suffix: str) -> Evaluator:
+@register_operand("CN")
+def _compile_polarity(suffix: str) -> Evaluator:
     if suffix not in ("", "0", "1", "2", "3"):
         raise CommandError(58)
     index = int(suffix or "0")
-    return lambda c: fixed.whole(c.machine.polarity[index])
+    return lambda c: fixed.from_integer(c.machine.polarity[index])
 
 
-@operand("ED")
-def _error_place(suffix: str) -> Evaluator:
+@register_operand("ED")
+def _compile_error_place(suffix: str) -> Evaluator:
     if suffix not in ("", "0", "1", "2", "3"):
         raise CommandError(58)
 
-    def read(c: Context) -> int:
+    def read_value(c: CommandContext) -> int:
         interpreter = c.machine.interpreter
         place = (
             interpreter.error_line,
@@ -263,45 +272,45 @@ def _error_place(suffix: str) -> Evaluator:
             interpreter.error_index,
             interpreter.error_index + 1,
         )
-        return fixed.whole(place[int(suffix or "0")])
+        return fixed.from_integer(place[int(suffix or "0")])
 
-    return read
+    return read_value
 
 
-def _of_thread(op: str, read: Callable[[Context, int], int]) -> None:
+def _register_thread_operand(op: str, read: Callable[[CommandContext, int], int]) -> None:
     def compile_thread(suffix: str) -> Evaluator:
         if suffix and (len(suffix) > 1 or suffix not in "01234567"):
             raise CommandError(58)
 
-        def run(c: Context) -> int:
+        def evaluate_thread(c: CommandContext) -> int:
             own = c.thread.number if c.thread is not None else 0
             if int(suffix or "0") >= len(c.machine.interpreter.threads):
                 raise CommandError(58)
-            return fixed.whole(read(c, int(suffix) if suffix else own))
+            return fixed.from_integer(read(c, int(suffix) if suffix else own))
 
-        return run
+        return evaluate_thread
 
-    operand(op)(compile_thread)
+    register_operand(op)(compile_thread)
 
 
-def _current_line(c: Context, number: int) -> int:
+def _current_line(c: CommandContext, number: int) -> int:
     thread = c.machine.interpreter.threads[number]
     return thread.line if thread.running else -1
 
 
-def _thread_state(c: Context, number: int) -> int:
+def _thread_state(c: CommandContext, number: int) -> int:
     thread = c.machine.interpreter.threads[number]
     return 0 if not thread.running else 2 if thread.trip is not None and not thread.resting else 1
 
 
-_of_thread("XQ", _current_line)
-_of_thread("HX", _thread_state)
-_of_thread("ZS", lambda c, number: len(c.machine.interpreter.threads[number].stack))
+_register_thread_operand("XQ", _current_line)
+_register_thread_operand("HX", _thread_state)
+_register_thread_operand("ZS", lambda c, number: len(c.machine.interpreter.threads[number].stack))
 
 
-@operand("IA")
-def _address(suffix: str) -> Evaluator:
-    readers: dict[str, Callable[[Context], int]] = {
+@register_operand("IA")
+def _compile_address(suffix: str) -> Evaluator:
+    readers: dict[str, Callable[[CommandContext], int]] = {
         "0": lambda c: c.machine.address,
         "1": lambda c: c.machine.retry_time,
         "2": lambda c: len(c.machine.ports.free_handles()),
@@ -311,38 +320,38 @@ def _address(suffix: str) -> Evaluator:
     reader = readers.get(suffix or "0")
     if reader is None:
         raise CommandError(58)
-    return lambda c: fixed.whole(reader(c))
+    return lambda c: fixed.from_integer(reader(c))
 
 
-@operand("IH")
-def _handle(suffix: str) -> Evaluator:
+@register_operand("IH")
+def _compile_handle(suffix: str) -> Evaluator:
     if len(suffix) != 2 or suffix[0] not in HANDLES or suffix[1] not in "01234":
         raise CommandError(58)
     name, item = suffix[0], int(suffix[1])
 
-    def read(c: Context) -> int:
+    def read_value(c: CommandContext) -> int:
         port = c.machine.ports.handles.get(name)
         peer = c.machine.ports.outgoing.get(name)
         if item == 4:
-            return fixed.whole(peer.asked if peer is not None else 0)
+            return fixed.from_integer(peer.send_state if peer is not None else 0)
         if port is not None:
-            return fixed.whole((0, 0, 2 if port.kind == "tcp" else 1, 0)[item])
+            return fixed.from_integer((0, 0, 2 if port.kind == "tcp" else 1, 0)[item])
         if peer is not None:
-            return fixed.whole((peer.address, peer.number, peer.state, peer.unresolved)[item])
-        return fixed.whole((-1, 0, 0, 0)[item])
+            return fixed.from_integer((peer.address, peer.number, peer.handle_state, peer.is_unresolved)[item])
+        return fixed.from_integer((-1, 0, 0, 0)[item])
 
-    return read
+    return read_value
 
 
-@operand("SA")
-def _response(suffix: str) -> Evaluator:
+@register_operand("SA")
+def _compile_response(suffix: str) -> Evaluator:
     if not 1 <= len(suffix) <= 2 or suffix[0] not in HANDLES or (suffix[1:] and suffix[1] not in "01234567"):
         raise CommandError(58)
     name, item = suffix[0], int(suffix[1:] or "0")
 
-    def read(c: Context) -> int:
+    def read_value(c: CommandContext) -> int:
         peer = c.machine.ports.outgoing.get(name)
         found = peer.fields if peer is not None else []
-        return found[item] if item < len(found) else fixed.whole(UNUSED)
+        return found[item] if item < len(found) else fixed.from_integer(UNUSED)
 
-    return read
+    return read_value

@@ -4,18 +4,25 @@ from collections.abc import Callable
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.language.arguments import LETTERS, canonical, parse_axes, parse_fields, split, values
-from sim.yaskawa.language.context import Context
+from sim.yaskawa.language.arguments import (
+    LETTERS,
+    canonical_axis,
+    compile_values,
+    parse_axes,
+    parse_fields,
+    split_fields,
+)
+from sim.yaskawa.language.context import CommandContext
 from sim.yaskawa.language.expressions import Evaluator, compile_expression
-from sim.yaskawa.language.registry import Outcome, Runner, command
-from sim.yaskawa.motion.segments import arc, line
-from sim.yaskawa.motion.sequence import System
+from sim.yaskawa.language.registry import Outcome, Runner, register_command
+from sim.yaskawa.motion.segments import arc_segment, linear_segment
+from sim.yaskawa.motion.sequence import CoordinateSystem
 
 Speeds = tuple[Evaluator | None, Evaluator | None]
 
 
-def system_of(c: Context, name: str = "") -> System:
-    """The coordinate system named, or the one that `CA` has selected."""
+def find_system(c: CommandContext, name: str = "") -> CoordinateSystem:
+    """Return the coordinate system named, or the one that `CA` has selected."""
     system = c.machine.motion.systems.get(name or c.machine.system_letter)
     if system is None:
         raise CommandError(28)
@@ -37,92 +44,94 @@ def _with_speeds(text: str) -> tuple[str, Speeds]:
     return head, (entry, leave)
 
 
-def _speeds(c: Context, speeds: Speeds) -> tuple[float | None, float | None]:
+def _evaluate_speeds(c: CommandContext, speeds: Speeds) -> tuple[float | None, float | None]:
     found: list[float | None] = []
     for evaluator, highest in zip(speeds, c.machine.model.figures.fastest, strict=True):
         if evaluator is None:
             found.append(None)
             continue
-        speed = fixed.truncated(evaluator(c))
+        speed = fixed.to_integer(evaluator(c))
         if not 0 <= speed <= highest:
             raise CommandError(6)
         found.append(float(speed // 2 * 2))
     return found[0], found[1]
 
 
-@command("CA")
-def _select_system(text: str) -> Runner:
+@register_command("CA")
+def _compile_select_system(text: str) -> Runner:
     if text not in ("S", "T"):
         raise CommandError(4)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         c.machine.system_letter = text
         return None
 
-    return run
+    return run_command
 
 
-def _open(c: Context, axes: tuple[str, ...], linear: bool, tangent: str | None = None) -> None:
-    system = system_of(c)
+def _open_sequence(c: CommandContext, axes: tuple[str, ...], linear: bool, tangent: str | None = None) -> None:
+    system = find_system(c)
     if system.running:
         raise CommandError(7)
     for name in (*axes, *([tangent] if tangent else [])):
-        axis = c.machine.axis(name)
-        if axis.moving:
+        axis = c.machine.find_axis(name)
+        if axis.is_moving:
             raise CommandError(18 if axis.mode == "contour" else 29 if axis.mode == "sequence" else 7)
-    system.select(axes, linear, tangent)
+    system.select_axes(axes, linear, tangent)
 
 
-@command("LM")
-def _linear_mode(text: str) -> Runner:
+@register_command("LM")
+def _compile_linear_mode(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show("LM", fixed.whole(system_of(c).free(c.machine.now())))
+        return lambda c: c.machine.format_answer(
+            "LM", fixed.from_integer(find_system(c).free_entries(c.machine.current_sample()))
+        )
     names = parse_axes(text)
 
-    def run(c: Context) -> Outcome:
-        axes = tuple(c.machine.axis(name).name for name in names) or tuple(c.machine.letters)
-        _open(c, axes, True)
+    def run_command(c: CommandContext) -> Outcome:
+        axes = tuple(c.machine.find_axis(name).name for name in names) or tuple(c.machine.letters)
+        _open_sequence(c, axes, True)
         return None
 
-    return run
+    return run_command
 
 
-@command("VM")
-def vector_mode(text: str) -> Runner:
-    """`VM`: the plane and perhaps the tangent axis; commas between them are not necessary (L13282)."""
+@register_command("VM")
+def compile_vector_mode(text: str) -> Runner:
+    """`VM`: the plane and optionally the tangent axis; commas between them are not necessary (L13282)."""
     names = parse_axes(text.replace(",", ""), LETTERS + "N")
     if len(names) not in (0, 2, 3):
         raise CommandError(50)
 
-    def run(c: Context) -> Outcome:
-        axes = tuple(c.machine.axis(name).name for name in names) or ("X", "Y", "N")
-        _open(c, axes[:2], False, axes[2] if len(axes) > 2 and axes[2] != "N" else None)
+    def run_command(c: CommandContext) -> Outcome:
+        axes = tuple(c.machine.find_axis(name).name for name in names) or ("X", "Y", "N")
+        _open_sequence(c, axes[:2], False, axes[2] if len(axes) > 2 and axes[2] != "N" else None)
         return None
 
-    return run
+    return run_command
 
 
-@command("LI")
-def _linear_segment(text: str) -> Runner:
+@register_command("LI")
+def _compile_linear_segment(text: str) -> Runner:
     head, speeds = _with_speeds(text)
     if head[1:2] == "=":
-        head = "," * LETTERS.find(canonical(head[0])) + head[2:]
-    fields = values(parse_fields(head))
+        head = "," * LETTERS.find(canonical_axis(head[0])) + head[2:]
+    fields = compile_values(parse_fields(head))
 
-    def run(c: Context) -> Outcome:
-        system = system_of(c)
+    def run_command(c: CommandContext) -> Outcome:
+        system = find_system(c)
         if not system.axes:
             raise CommandError(24)
         if not system.linear:
             raise CommandError(33)
         if system.ended:
-            system_restart(system)
+            restart_system(system)
         given = fields(c)
         steps: dict[str, int] = {}
         for letter, raw in zip(LETTERS, given, strict=False):
             if raw is None:
                 continue
-            step = fixed.truncated(raw)
+            step = fixed.to_integer(raw)
             if abs(step) > 8388607:
                 raise CommandError(6)
             if letter not in system.axes and step:
@@ -130,67 +139,70 @@ def _linear_segment(text: str) -> Runner:
             steps[letter] = step
         if not steps:
             raise CommandError(50)
-        start = system.tail()
+        start = system.queue_end()
         end = tuple(a + steps.get(name, 0) for a, name in zip(start, system.axes, strict=True))
         if start == end and c.machine.options.zero_segments:
             return None
-        entry, leave = _speeds(c, speeds)
-        system.add(line(start, end, (1.0,) * len(start), entry, leave), c.machine.timebase.next_sample())
+        entry, leave = _evaluate_speeds(c, speeds)
+        system.add_segment(
+            linear_segment(start, end, (1.0,) * len(start), entry, leave), c.machine.timebase.next_sample()
+        )
         return None
 
-    return run
+    return run_command
 
 
-def system_restart(system: System) -> None:
-    """A segment behind the end of a queue that does not run begins a new one; behind a running one it is too late."""
+def restart_system(system: CoordinateSystem) -> None:
+    """Start a new queue: a segment after the end of a queue that does not run begins a new one; after a running one
+    it is too late."""
     if system.running:
         raise CommandError(7)
-    system.clear()
+    system.clear_queue()
 
 
-def _plane(c: Context) -> System:
-    system = system_of(c)
+def _require_plane(c: CommandContext) -> CoordinateSystem:
+    system = find_system(c)
     if not system.axes:
         raise CommandError(24)
     if system.linear:
         raise CommandError(33)
     if system.ended:
-        system_restart(system)
+        restart_system(system)
     return system
 
 
-@command("VP")
-def _vector_point(text: str) -> Runner:
+@register_command("VP")
+def _compile_vector_point(text: str) -> Runner:
     head, speeds = _with_speeds(text)
-    fields = values(parse_fields(head, 2))
+    fields = compile_values(parse_fields(head, 2))
 
-    def run(c: Context) -> Outcome:
-        system = _plane(c)
+    def run_command(c: CommandContext) -> Outcome:
+        system = _require_plane(c)
         given = fields(c)
-        start, scale = system.tail(), system.ellipse
+        start, scale = system.queue_end(), system.ellipse
         end = tuple(
-            start[index] if raw is None else fixed.truncated(raw) * scale[index]
+            start[index] if raw is None else fixed.to_integer(raw) * scale[index]
             for index, raw in enumerate([*given, None][:2])
         )
         if start == end and c.machine.options.zero_segments:
             return None
-        entry, leave = _speeds(c, speeds)
-        segment = line(start, end, scale, entry, leave)
+        entry, leave = _evaluate_speeds(c, speeds)
+        segment = linear_segment(start, end, scale, entry, leave)
         if segment.length > 8_000_000:
             raise CommandError(6)
-        system.add(segment, c.machine.timebase.next_sample())
+        system.add_segment(segment, c.machine.timebase.next_sample())
         return None
 
-    return run
+    return run_command
 
 
-@command("CR")
-def _circle(text: str) -> Runner:
+@register_command("CR")
+def _compile_circle(text: str) -> Runner:
     head, speeds = _with_speeds(text)
-    fields = values(parse_fields(head, 3))
+    fields = compile_values(parse_fields(head, 3))
 
-    def run(c: Context) -> Outcome:
-        system = _plane(c)
+    def run_command(c: CommandContext) -> Outcome:
+        system = _require_plane(c)
         given = [raw for raw in fields(c) if raw is not None]
         if len(given) != 3:
             raise CommandError(50)
@@ -199,92 +211,92 @@ def _circle(text: str) -> Runner:
             raise CommandError(6)
         if radius * abs(sweep) > 4.5e8:
             raise CommandError(6)
-        entry, leave = _speeds(c, speeds)
-        segment = arc(system.tail(), radius, angle, sweep, system.ellipse, entry, leave)
-        system.add(segment, c.machine.timebase.next_sample())
+        entry, leave = _evaluate_speeds(c, speeds)
+        segment = arc_segment(system.queue_end(), radius, angle, sweep, system.ellipse, entry, leave)
+        system.add_segment(segment, c.machine.timebase.next_sample())
         return None
 
-    return run
+    return run_command
 
 
-@command("LE", "VE")
-def _end_sequence(text: str) -> Runner:
+@register_command("LE", "VE")
+def _compile_end_sequence(text: str) -> Runner:
     if text == "?":
-        return lambda c: c.machine.show_value(fixed.of(system_of(c).length))
+        return lambda c: c.machine.format_variable(fixed.from_real(find_system(c).length))
     if text not in ("", "S", "T"):
         raise CommandError(4)
 
-    def run(c: Context) -> Outcome:
-        system = system_of(c, text)
+    def run_command(c: CommandContext) -> Outcome:
+        system = find_system(c, text)
         if not system.axes:
             raise CommandError(24)
-        system.finish(c.machine.timebase.next_sample())
+        system.finish_queue(c.machine.timebase.next_sample())
         return None
 
-    return run
+    return run_command
 
 
-@command("CS")
-def _clear_sequence(text: str) -> Runner:
+@register_command("CS")
+def _compile_clear_sequence(text: str) -> Runner:
     if text not in ("", "S", "T"):
         raise CommandError(4)
 
-    def run(c: Context) -> Outcome:
-        system = system_of(c, text)
+    def run_command(c: CommandContext) -> Outcome:
+        system = find_system(c, text)
         if system.running:
             raise CommandError(7)
-        system.clear()
+        system.clear_queue()
         system.last_index = 0
         return None
 
-    return run
+    return run_command
 
 
-def _register(
+def _register_parameter(
     op: str,
     low: float,
     high: float,
-    write: Callable[[System, float], None],
+    write: Callable[[CoordinateSystem, float], None],
     step: int,
     *,
     moving: bool,
     nearest: bool = False,
 ) -> None:
-    """Enter a parameter of the systems S and T, cut to its step or, `nearest`, rounded to it."""
+    """Register a parameter of the systems S and T, cut to its step or, `nearest`, rounded to it."""
 
     def compile_register(text: str) -> Runner:
         if text in ("?", "S?", "T?"):
             read = OPERAND_READERS[op]
-            return lambda c: c.machine.show(op, fixed.of(read(system_of(c, text[:-1]))))
+            return lambda c: c.machine.format_answer(op, fixed.from_real(read(find_system(c, text[:-1]))))
         if text[1:2] == "=" and text[0] in "ST":
             fields = [compile_expression(text[2:])]
             names = [text[0]]
         else:
-            parts = split(text)
+            parts = split_fields(text)
             if len(parts) > 2 or not text:
                 raise CommandError(4 if text else 50)
             fields = [compile_expression(part) for part in parts if part]
             names = [name for name, part in zip("ST", parts, strict=False) if part]
 
-        def run(c: Context) -> Outcome:
-            given = [(system_of(c, name), field(c)) for name, field in zip(names, fields, strict=True)]
+        def run_command(c: CommandContext) -> Outcome:
+            given = [(find_system(c, name), field(c)) for name, field in zip(names, fields, strict=True)]
             for system, raw in given:
-                if not fixed.of(low) <= raw <= fixed.of(high):
+                if not fixed.from_real(low) <= raw <= fixed.from_real(high):
                     raise CommandError(6)
                 if system.running and not moving:
                     raise CommandError(7)
             for system, raw in given:
                 write(system, (raw + (step // 2 if nearest else 0)) // step * step / fixed.ONE)
                 if system.running:
-                    system.retarget(c.machine.timebase.next_sample())
+                    system.replan_speed(c.machine.timebase.next_sample())
             return None
 
-        return run
+        return run_command
 
-    command(op)(compile_register)
+    register_command(op)(compile_register)
 
 
-OPERAND_READERS: dict[str, Callable[[System], float]] = {
+OPERAND_READERS: dict[str, Callable[[CoordinateSystem], float]] = {
     "VS": lambda system: system.speed,
     "VA": lambda system: system.acceleration,
     "VD": lambda system: system.deceleration,
@@ -293,62 +305,62 @@ OPERAND_READERS: dict[str, Callable[[System], float]] = {
 }
 
 
-def _set_speed(system: System, value: float) -> None:
+def _set_speed(system: CoordinateSystem, value: float) -> None:
     system.speed = value
 
 
-def _set_acceleration(system: System, value: float) -> None:
+def _set_acceleration(system: CoordinateSystem, value: float) -> None:
     system.acceleration = value
 
 
-def _set_deceleration(system: System, value: float) -> None:
+def _set_deceleration(system: CoordinateSystem, value: float) -> None:
     system.deceleration = value
 
 
-def _set_ratio(system: System, value: float) -> None:
+def _set_ratio(system: CoordinateSystem, value: float) -> None:
     system.ratio = value
 
 
-def _set_smoothing(system: System, value: float) -> None:
+def _set_smoothing(system: CoordinateSystem, value: float) -> None:
     system.smoothing = value
 
 
-_register("VS", 2, 8_000_000, _set_speed, 2 * fixed.ONE, moving=True)
-_register("VA", 1024, 68431360, _set_acceleration, 1024 * fixed.ONE, moving=True)
-_register("VD", 1024, 68431360, _set_deceleration, 1024 * fixed.ONE, moving=False)
-_register("VR", 0, 10, _set_ratio, 1, moving=True)
-_register("VT", 0.004, 1, _set_smoothing, fixed.ONE // 256, moving=True, nearest=True)
+_register_parameter("VS", 2, 8_000_000, _set_speed, 2 * fixed.ONE, moving=True)
+_register_parameter("VA", 1024, 68431360, _set_acceleration, 1024 * fixed.ONE, moving=True)
+_register_parameter("VD", 1024, 68431360, _set_deceleration, 1024 * fixed.ONE, moving=False)
+_register_parameter("VR", 0, 10, _set_ratio, 1, moving=True)
+_register_parameter("VT", 0.004, 1, _set_smoothing, fixed.ONE // 256, moving=True, nearest=True)
 
 
-@command("ES")
-def _ellipse(text: str) -> Runner:
-    fields = values(parse_fields(text, 2))
+@register_command("ES")
+def _compile_ellipse(text: str) -> Runner:
+    fields = compile_values(parse_fields(text, 2))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         given = [raw for raw in fields(c) if raw is not None]
         if len(given) != 2:
             raise CommandError(50)
-        m, n = (fixed.truncated(raw) for raw in given)
+        m, n = (fixed.to_integer(raw) for raw in given)
         if not (1 <= m <= 65535 and 1 <= n <= 65535):
             raise CommandError(6)
-        system = system_of(c)
+        system = find_system(c)
         system.ellipse_terms = (m, n)
         system.ellipse = (m / n, 1.0) if m > n else (1.0, n / m)
         return None
 
-    return run
+    return run_command
 
 
-@command("TN")
-def tangent(text: str) -> Runner:
+@register_command("TN")
+def compile_tangent(text: str) -> Runner:
     """`TN m,n`: scale and zero of the tangent axis."""
     if not text:
         raise CommandError(50)
-    fields = values(parse_fields(text, 2))
+    fields = compile_values(parse_fields(text, 2))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         given = [*fields(c), None]
-        system = system_of(c)
+        system = find_system(c)
         if given[0] is not None:
             if abs(given[0]) > 127 * fixed.ONE:
                 raise CommandError(6)
@@ -356,7 +368,7 @@ def tangent(text: str) -> Runner:
         if given[1] is not None:
             if abs(given[1]) > 2_000_000_000 * fixed.ONE:
                 raise CommandError(6)
-            system.tangent_zero = float(fixed.truncated(given[1]))
+            system.tangent_zero = float(fixed.to_integer(given[1]))
         return None
 
-    return run
+    return run_command

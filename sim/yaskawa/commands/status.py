@@ -5,20 +5,20 @@ from collections.abc import Callable
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.base.formats import Format
+from sim.yaskawa.base.formats import NumberFormat
 from sim.yaskawa.base.options import Smc4000Options
-from sim.yaskawa.commands.motion import chosen
-from sim.yaskawa.language.arguments import LETTERS, parse_axes, questioned
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import integer
-from sim.yaskawa.language.registry import COMMANDS, Command, Outcome, Runner, bare, command
-from sim.yaskawa.language.statements import Raw
-from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.commands.motion import chosen_axes
+from sim.yaskawa.language.arguments import LETTERS, parse_axes, queried_axes
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_integer
+from sim.yaskawa.language.registry import COMMANDS, CommandDefinition, Outcome, Runner, register_command, require_bare
+from sim.yaskawa.language.statements import RawData
+from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.profile import SPEED_UNIT
-from sim.yaskawa.motion.sequence import System
+from sim.yaskawa.motion.sequence import CoordinateSystem
 
 _ADDRESSED_BIT = 7
-"""Of TB in a daisy chain (SMC-2000: L11659)."""
+"""Bit of TB in a daisy chain (SMC-2000: L11659)."""
 AVERAGED = 256
 """Samples that TV averages over (L11021)."""
 _FEED_FORWARD = 1.5e-7
@@ -27,87 +27,87 @@ _SPEED_FORWARD = 1.22e-6
 """Volts of FV for each count/s (L5381)."""
 _VOLTS = 9.9988
 
-Reader = Callable[[Context, Axis], int]
+Reader = Callable[[CommandContext, ServoAxis], int]
 
 
-def encoder(c: Context, axis: Axis) -> int:
+def encoder_position(c: CommandContext, axis: ServoAxis) -> int:
     """`TP`."""
-    return axis.reported(axis.actual(c.machine.now()))
+    return axis.report_counts(axis.actual_at(c.machine.current_sample()))
 
 
-def reference(c: Context, axis: Axis) -> int:
+def reference_position(c: CommandContext, axis: ServoAxis) -> int:
     """`RP`."""
-    return axis.reported(axis.reference(c.machine.now()))
+    return axis.report_counts(axis.reference_at(c.machine.current_sample()))
 
 
-def error(c: Context, axis: Axis) -> int:
+def position_error(c: CommandContext, axis: ServoAxis) -> int:
     """`TE`."""
-    return axis.error(c.machine.now())
+    return axis.position_error(c.machine.current_sample())
 
 
-def auxiliary(c: Context, axis: Axis) -> int:
+def auxiliary_position(c: CommandContext, axis: ServoAxis) -> int:
     """`TD`: the auxiliary encoder; on a stepper the pulses sent, which KS delays (L14096-L14105)."""
-    if not axis.stepper:
+    if not axis.is_stepper:
         return axis.auxiliary
-    return axis.reference(c.machine.now() - axis.pulse_delay)
+    return axis.reference_at(c.machine.current_sample() - axis.pulse_delay)
 
 
-def unmodularised(c: Context, axis: Axis) -> int:
+def unmodularised_position(c: CommandContext, axis: ServoAxis) -> int:
     """`QP`."""
-    return axis.actual(c.machine.now())
+    return axis.actual_at(c.machine.current_sample())
 
 
-def latched(c: Context, axis: Axis) -> int:
+def latched_position(c: CommandContext, axis: ServoAxis) -> int:
     """`RL`."""
     return axis.latched
 
 
-def velocity(c: Context, axis: Axis) -> int:
+def average_velocity(c: CommandContext, axis: ServoAxis) -> int:
     """`TV`: counts/s, averaged over 256 samples."""
-    now = c.machine.now()
-    return _speed(axis, now, axis.command(now))
+    now = c.machine.current_sample()
+    return _average_speed(axis, now, axis.command_at(now))
 
 
-def _speed(axis: Axis, now: int, here: float) -> int:
+def _average_speed(axis: ServoAxis, now: int, position: float) -> int:
     if axis.frozen is not None:
         return 0
     span = min(AVERAGED, max(now, 1))
-    return fixed.rounded((here - axis.command(now - span)) / span / SPEED_UNIT)
+    return fixed.round_half_up((position - axis.command_at(now - span)) / span / SPEED_UNIT)
 
 
-def volts(c: Context, axis: Axis) -> int:
+def torque_volts(c: CommandContext, axis: ServoAxis) -> int:
     """`TT`, raw: offset and feed-forwards of an ideal plant (D63)."""
     if axis.motor_off:
         return 0
     bias = axis.registers["OF"] / fixed.ONE
     gain, speed_gain = axis.registers["FA"] / fixed.ONE, axis.registers["FV"] / fixed.ONE
-    if gain and axis.profile is not None and axis.moving:
-        change = axis.profile.acceleration(c.machine.now()) * 1048576
+    if gain and axis.profile is not None and axis.is_moving:
+        change = axis.profile.acceleration_at(c.machine.current_sample()) * 1048576
         bias += max(min(gain * change * _FEED_FORWARD, 10.0), -10.0)
     if speed_gain:
-        bias += speed_gain * axis.command_velocity(c.machine.now()) / SPEED_UNIT * _SPEED_FORWARD
+        bias += speed_gain * axis.command_velocity(c.machine.current_sample()) / SPEED_UNIT * _SPEED_FORWARD
     if not bias:
         return 0
     limit = min(axis.registers["TL"] / fixed.ONE, _VOLTS)
-    return fixed.of(max(min(bias, limit), -limit))
+    return fixed.from_real(max(min(bias, limit), -limit))
 
 
-def switches(c: Context, axis: Axis) -> int:
+def switch_states(c: CommandContext, axis: ServoAxis) -> int:
     """`TS` (L10906)."""
-    now = c.machine.now()
-    return _switch_bits(c, axis, now, axis.reference(now), axis.actual(now))
+    now = c.machine.current_sample()
+    return _switch_bits(c, axis, now, axis.reference_at(now), axis.actual_at(now))
 
 
-def _switch_bits(c: Context, axis: Axis, now: int, command_now: int, encoder_now: int) -> int:
+def _switch_bits(c: CommandContext, axis: ServoAxis, now: int, command_now: int, encoder_now: int) -> int:
     machine = c.machine
     motion = machine.motion
     active_high = machine.model.switch_levels and machine.polarity[0] > 0
     forward = motion.limit_active(axis, True, now) == active_high
     reverse = motion.limit_active(axis, False, now) == active_high
-    home = machine.world.home_level(axis.name, encoder_now - axis.physical_zero)
+    home = machine.environment.home_level(axis.name, encoder_now - axis.physical_zero)
     return (
-        axis.moving << 7
-        | machine.events.beyond(axis, command_now - encoder_now) << 6
+        axis.is_moving << 7
+        | machine.events.exceeds_error_limit(axis, command_now - encoder_now) << 6
         | axis.motor_off << 5
         | forward << 3
         | reverse << 2
@@ -116,17 +116,17 @@ def _switch_bits(c: Context, axis: Axis, now: int, command_now: int, encoder_now
     )
 
 
-def home_level(c: Context, axis: Axis) -> bool:
-    """Level of the home input, 1 is high."""
-    return c.machine.world.home_level(axis.name, axis.physical(c.machine.now()))
+def home_level(c: CommandContext, axis: ServoAxis) -> bool:
+    """Return the level of the home input, 1 is high."""
+    return c.machine.environment.home_level(axis.name, axis.physical_at(c.machine.current_sample()))
 
 
-def home_inactive(c: Context, axis: Axis) -> bool:
-    """`_HM`: 0 is active whatever CN says (L5605)."""
+def home_inactive(c: CommandContext, axis: ServoAxis) -> bool:
+    """`_HM`: 0 is active whatever CN is set to (L5605)."""
     return home_level(c, axis) != (c.machine.polarity[1] > 0)
 
 
-def general(c: Context) -> int:
+def general_status(c: CommandContext) -> int:
     """`TB` (L10220)."""
     machine = c.machine
     interpreter = machine.interpreter
@@ -142,101 +142,101 @@ def general(c: Context) -> int:
     )
 
 
-def tell(
+def register_report(
     op: str,
     read: Reader,
-    form: Format | None = None,
+    form: NumberFormat | None = None,
     allowed: str = LETTERS,
-    digits: Callable[[Context], int] | None = None,
-    table: dict[str, Command] = COMMANDS,
-    asked: bool = True,
+    digits: Callable[[CommandContext], int] | None = None,
+    table: dict[str, CommandDefinition] = COMMANDS,
+    queryable: bool = True,
 ) -> None:
-    """Enter a command that tells one number of each axis; `asked` when `?` is another way to name them."""
+    """Register a command that reports one number of each axis; `queryable` when `?` is another way to name them."""
 
-    @command(op, table=table)
+    @register_command(op, table=table)
     def compile_tell(text: str) -> Runner:
-        if "?" in text and not asked:
+        if "?" in text and not queryable:
             raise CommandError(51)
         questions = "?" in text
-        names = questioned(text) if questions else parse_axes(text, allowed)
+        names = queried_axes(text) if questions else parse_axes(text, allowed)
 
-        def run(c: Context) -> Outcome:
+        def run_command(c: CommandContext) -> Outcome:
             if questions and op in c.machine.model.unasked:
                 raise CommandError(51)
-            layout = Format(digits(c), 0) if digits is not None else form or c.machine.position_format
-            raw = [read(c, axis) if op == "TT" else read(c, axis) * fixed.ONE for axis in chosen(c, names)]
-            return report(c, ",".join(layout.write(value, c.machine.layout) for value in raw))
+            layout = NumberFormat(digits(c), 0) if digits is not None else form or c.machine.position_format
+            raw = [read(c, axis) if op == "TT" else read(c, axis) * fixed.ONE for axis in chosen_axes(c, names)]
+            return report_text(c, ",".join(layout.format_value(value, c.machine.layout) for value in raw))
 
-        return run
+        return run_command
 
     del compile_tell
 
 
-def report(c: Context, written: str) -> Outcome:
-    """The answer to a status command; in a program it is unsolicited text (L3556)."""
+def report_text(c: CommandContext, written: str) -> Outcome:
+    """Answer a status command; in a program it is unsolicited text (L3556)."""
     if c.thread is None:
         return written
-    c.machine.ports.message(f"{written}\r\n")
+    c.machine.ports.send_message(f"{written}\r\n")
     return None
 
 
-tell("TP", encoder, allowed=LETTERS + "N")
-tell("RP", reference, allowed=LETTERS + "N")
-tell("TE", error)
-tell("TD", auxiliary)
-tell("QP", unmodularised)
-tell("QA", auxiliary)
-tell("RL", latched)
+register_report("TP", encoder_position, allowed=LETTERS + "N")
+register_report("RP", reference_position, allowed=LETTERS + "N")
+register_report("TE", position_error)
+register_report("TD", auxiliary_position)
+register_report("QP", unmodularised_position)
+register_report("QA", auxiliary_position)
+register_report("RL", latched_position)
 
 
-def _latched_at_rest(c: Context, axis: Axis) -> int:
+def _latched_at_rest(c: CommandContext, axis: ServoAxis) -> int:
     """`RU`: not in motion (L9708)."""
-    if c.machine.motion.active():
+    if c.machine.motion.is_active():
         raise CommandError(7)
     return axis.latched
 
 
-tell("RU", _latched_at_rest)
-tell("TV", velocity, digits=lambda c: c.machine.model.speed_digits)
-tell("TT", volts, Format(1, 4))
-tell("TS", switches, Format(3, 0))
-tell("SC", lambda c, axis: axis.stop_code, Format(3, 0), allowed=LETTERS + "N")
-tell("TY", lambda c, axis: axis.absolute, Format(10, 0))  # L11089; SMC-2000: L12250
+register_report("RU", _latched_at_rest)
+register_report("TV", average_velocity, digits=lambda c: c.machine.model.speed_digits)
+register_report("TT", torque_volts, NumberFormat(1, 4))
+register_report("TS", switch_states, NumberFormat(3, 0))
+register_report("SC", lambda c, axis: axis.stop_code, NumberFormat(3, 0), allowed=LETTERS + "N")
+register_report("TY", lambda c, axis: axis.absolute, NumberFormat(10, 0))  # L11089; SMC-2000: L12250
 
 
-@command("TB")
-def _tell_status(text: str) -> Runner:
-    bare(text.removeprefix("?"))
-    return lambda c: report(c, c.machine.show_whole(general(c), 1 if general(c) < 10 else 3))
+@register_command("TB")
+def _compile_tell_status(text: str) -> Runner:
+    require_bare(text.removeprefix("?"))
+    return lambda c: report_text(c, c.machine.format_integer(general_status(c), 1 if general_status(c) < 10 else 3))
 
 
-@command("TI")
-def _tell_inputs(text: str) -> Runner:
-    bare(text.removeprefix("?"))
-    return lambda c: report(c, c.machine.show_whole(c.machine.io.input_byte(), 3))
+@register_command("TI")
+def _compile_tell_inputs(text: str) -> Runner:
+    require_bare(text.removeprefix("?"))
+    return lambda c: report_text(c, c.machine.format_integer(c.machine.io.input_byte(), 3))
 
 
-@command("TC")
-def tell_code(text: str) -> Runner:
-    """`TC`: why the last command was refused; told once."""
-    value = integer(text) if text not in ("", "?") else None
+@register_command("TC")
+def compile_tell_code(text: str) -> Runner:
+    """`TC`: report the reason of the last refusal, once."""
+    value = compile_integer(text) if text not in ("", "?") else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         number = value(c) if value is not None else 0
         if number not in (0, 1):
             raise CommandError(6)
         code, c.machine.error_code = c.machine.error_code, 0
         if number == 0:
-            return report(c, c.machine.show_whole(code, 3))
-        return report(c, f"{code} {c.machine.model.texts[code]}" if code else "0")
+            return report_text(c, c.machine.format_integer(code, 3))
+        return report_text(c, f"{code} {c.machine.model.texts[code]}" if code else "0")
 
-    return run
+    return run_command
 
 
-@command("QZ")
-def _record_sizes(text: str) -> Runner:
-    bare(text)
-    return lambda c: report(c, f"{len(c.machine.letters)},24,8,{_axis_bytes(c)}")
+@register_command("QZ")
+def _compile_record_sizes(text: str) -> Runner:
+    require_bare(text)
+    return lambda c: report_text(c, f"{len(c.machine.letters)},24,8,{_axis_bytes(c)}")
 
 
 # The data record
@@ -244,17 +244,17 @@ def _record_sizes(text: str) -> Runner:
 _AXIS_BLOCK = struct.Struct("<HBBiiiiih")
 
 
-@command("QR")
-def _data_record(text: str) -> Runner:
+@register_command("QR")
+def _compile_data_record(text: str) -> Runner:
     if any(letter not in "ABCDXYZWSTI" for letter in text):
         raise CommandError(4)
     wanted = {("XYZW".find(letter) >= 0 and "ABCD"["XYZW".find(letter)]) or letter for letter in text}
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
         names = wanted or {*"IST", *"ABCD"[: len(machine.letters)]}
         blocks = b""
-        header, now = 0x8000, machine.now()
+        header, now = 0x8000, machine.current_sample()
         padding = bytes(_axis_bytes(c) - _AXIS_BLOCK.size)
         if "I" in names:
             header |= 0x400
@@ -266,17 +266,17 @@ def _data_record(text: str) -> Runner:
         for index, letter in enumerate("ABCD"):
             if letter in names:
                 header |= 1 << index
-                blocks += _axis_block(c, machine.axis("XYZW"[index]), now) + padding
+                blocks += _axis_block(c, machine.find_axis("XYZW"[index]), now) + padding
         data = struct.pack("<HH", header, len(blocks) + 4) + blocks
         if c.port is None:
-            machine.ports.message(data.decode("latin-1"))
+            machine.ports.send_message(data.decode("latin-1"))
             return None
-        return Raw(data.decode("latin-1"))
+        return RawData(data.decode("latin-1"))
 
-    return run
+    return run_command
 
 
-def _general_block(c: Context) -> bytes:
+def _general_block(c: CommandContext) -> bytes:
     machine = c.machine
     status = (
         machine.interpreter.any_running() << 7
@@ -290,47 +290,49 @@ def _general_block(c: Context) -> bytes:
     )
 
 
-def _system_block(c: Context, system: System) -> bytes:
-    now = c.machine.now()
+def _system_block(c: CommandContext, system: CoordinateSystem) -> bytes:
+    now = c.machine.current_sample()
     status = 0
     if system.running and system.profile is not None:
-        acceleration = system.profile.acceleration(now)
+        acceleration = system.profile.acceleration_at(now)
         status = 1 << 15 | (acceleration == 0) << 5 | system.stopping << 4 | (acceleration < 0) << 3
-    return struct.pack("<HHi", system.index(now) & 0xFFFF, status, fixed.wrapped(int(system.travelled(now))))
+    return struct.pack(
+        "<HHi", system.segment_index(now) & 0xFFFF, status, fixed.wrap_counts(int(system.travelled_distance(now)))
+    )
 
 
-def _axis_block(c: Context, axis: Axis, now: int) -> bytes:
-    """The command is worked out once for all that is told about it: the record is what hosts poll."""
-    here = axis.command(now)
-    command_now = fixed.wrapped(fixed.rounded(here))
-    encoder_now = axis.actual(now)
+def _axis_block(c: CommandContext, axis: ServoAxis, now: int) -> bytes:
+    """Pack an axis block. The command is evaluated once for all its fields: the record is the one that hosts poll."""
+    here = axis.command_at(now)
+    command_now = fixed.wrap_counts(fixed.round_half_up(here))
+    encoder_now = axis.actual_at(now)
     return _AXIS_BLOCK.pack(
         _axis_status(axis, now),
         _axis_switches(c, axis, _switch_bits(c, axis, now, command_now, encoder_now)),
         axis.stop_code,
-        axis.reported(command_now),
-        axis.reported(encoder_now),
-        fixed.wrapped(command_now - encoder_now),
-        auxiliary(c, axis),
-        fixed.wrapped(_speed(axis, now, here) * 64),
-        max(min(round(volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
+        axis.report_counts(command_now),
+        axis.report_counts(encoder_now),
+        fixed.wrap_counts(command_now - encoder_now),
+        auxiliary_position(c, axis),
+        fixed.wrap_counts(_average_speed(axis, now, here) * 64),
+        max(min(round(torque_volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
     )
 
 
-def _axis_bytes(c: Context) -> int:
+def _axis_bytes(c: CommandContext) -> int:
     options = c.machine.options
     return options.qr_axis_bytes if isinstance(options, Smc4000Options) else 0
 
 
-def _axis_switches(c: Context, axis: Axis, state: int) -> int:
-    latch_input = axis.index < 8 and c.machine.world.inputs[axis.index]
+def _axis_switches(c: CommandContext, axis: ServoAxis, state: int) -> int:
+    latch_input = axis.index < 8 and c.machine.environment.inputs[axis.index]
     captured = not axis.latch_armed and axis.latch_used
     return captured << 7 | latch_input << 6 | state & 0x0E
 
 
-def _axis_status(axis: Axis, now: int) -> int:
-    profile, moving = axis.profile, axis.moving
-    slope = profile.acceleration(now) if profile is not None and moving else 0.0
+def _axis_status(axis: ServoAxis, now: int) -> int:
+    profile, moving = axis.profile, axis.is_moving
+    slope = profile.acceleration_at(now) if profile is not None and moving else 0.0
     rate = axis.command_velocity(now) if axis.mode or axis.gear.on else 0.0
     positioning = axis.armed in ("PR", "PA")
     return (

@@ -4,103 +4,103 @@ from collections.abc import Callable
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.motion import chosen, resolve
-from sim.yaskawa.language.arguments import LETTERS, parse_axes, parse_fields, parse_form, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import integer
-from sim.yaskawa.language.registry import COMMANDS, Command, Outcome, Runner, command
-from sim.yaskawa.motion.axis import Axis
-from sim.yaskawa.motion.trippoints import at_sample, at_speed, motion_complete, path_reached, place_reached, when
+from sim.yaskawa.commands.motion import chosen_axes, resolve_names
+from sim.yaskawa.language.arguments import LETTERS, compile_values, parse_axes, parse_fields, parse_form
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_integer
+from sim.yaskawa.language.registry import COMMANDS, CommandDefinition, Outcome, Runner, register_command
+from sim.yaskawa.motion.axis import ServoAxis
+from sim.yaskawa.motion.trippoints import at_sample, at_speed, motion_complete, path_reached, place_reached, when_passed
 
 
-@command("WT")
-def _wait(text: str) -> Runner:
-    value = integer(text)
+@register_command("WT")
+def _compile_wait(text: str) -> Runner:
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         samples = value(c)
         if samples < 0:
             raise CommandError(6)
-        return at_sample(c.machine.now() + samples)
+        return at_sample(c.machine.current_sample() + samples)
 
-    return run
+    return run_command
 
 
-@command("AT")
-def _after_time(text: str) -> Runner:
-    value = integer(text)
+@register_command("AT")
+def _compile_after_time(text: str) -> Runner:
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
         owner = c.thread or machine.interpreter.threads[0]
         samples = value(c)
         if samples == 0:
-            owner.reference = machine.now()
+            owner.reference = machine.current_sample()
             return None
         due = owner.reference + abs(samples)
         if samples < 0:
             owner.reference = due
         return at_sample(due)
 
-    return run
+    return run_command
 
 
-@command("AI")
-def _after_input(text: str) -> Runner:
-    value = integer(text)
+@register_command("AI")
+def _compile_after_input(text: str) -> Runner:
+    value = compile_integer(text)
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         number = value(c)
-        if not 1 <= abs(number) <= len(c.machine.world.inputs):
+        if not 1 <= abs(number) <= len(c.machine.environment.inputs):
             raise CommandError(6)
-        return when(lambda machine, now: machine.world.inputs[abs(number) - 1] == (number > 0))
+        return when_passed(lambda machine, now: machine.environment.inputs[abs(number) - 1] == (number > 0))
 
-    return run
+    return run_command
 
 
-@command("AM")
-def _after_move(text: str) -> Runner:
+@register_command("AM")
+def _compile_after_move(text: str) -> Runner:
     names = parse_axes(text, LETTERS + "ST")
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        wanted = resolve(c, names)
+        wanted = resolve_names(c, names)
         systems = [motion.systems[name] for name in wanted if name in motion.systems]
-        axes = [c.machine.axis(name) for name in wanted if name not in motion.systems]
+        axes = [c.machine.find_axis(name) for name in wanted if name not in motion.systems]
         if not names:
             axes, systems = list(motion.real), list(motion.systems.values())
-        return when(
-            lambda machine, now: not any(axis.moving for axis in axes) and not any(one.running for one in systems)
+        return when_passed(
+            lambda machine, now: not any(axis.is_moving for axis in axes) and not any(one.running for one in systems)
         )
 
-    return run
+    return run_command
 
 
-@command("AS")
-def _after_speed(text: str) -> Runner:
+@register_command("AS")
+def _compile_after_speed(text: str) -> Runner:
     names = parse_axes(text, LETTERS + "ST")
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        wanted = resolve(c, names)
+        wanted = resolve_names(c, names)
         systems = [motion.systems[name] for name in wanted if name in motion.systems]
-        axes = [c.machine.axis(name) for name in wanted if name not in motion.systems]
+        axes = [c.machine.find_axis(name) for name in wanted if name not in motion.systems]
         return at_speed(axes if names else list(motion.real), systems)
 
-    return run
+    return run_command
 
 
-@command("MC")
-def _motion_complete(text: str) -> Runner:
+@register_command("MC")
+def _compile_motion_complete(text: str) -> Runner:
     names = parse_axes(text)
-    return lambda c: motion_complete(chosen(c, names), c.machine.now())
+    return lambda c: motion_complete(chosen_axes(c, names), c.machine.current_sample())
 
 
-@command("AV")
-def _after_vector(text: str) -> Runner:
-    fields = values(parse_fields(text, 2))
+@register_command("AV")
+def _compile_after_vector(text: str) -> Runner:
+    fields = compile_values(parse_fields(text, 2))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         for name, raw in zip(c.machine.model.figures.systems, fields(c), strict=False):
             if raw is not None:
                 if raw < 0:
@@ -110,13 +110,16 @@ def _after_vector(text: str) -> Runner:
                 return path_reached(system, base + raw / fixed.ONE)
         raise CommandError(50)
 
-    return run
+    return run_command
 
 
-def enter_place(
-    op: str, go: Callable[[Axis, Context, int], Outcome], low: int, table: dict[str, Command] = COMMANDS
+def register_place_trip(
+    op: str,
+    go: Callable[[ServoAxis, CommandContext, int], Outcome],
+    low: int,
+    table: dict[str, CommandDefinition] = COMMANDS,
 ) -> None:
-    """Enter a trip-point at a place of one axis; `low` is the least that it takes."""
+    """Register a trip-point at a position of one axis; `low` is the smallest one allowed."""
 
     def compile_place(text: str) -> Runner:
         form = parse_form(text)
@@ -126,58 +129,58 @@ def enter_place(
         if field is None or isinstance(field, str):
             raise CommandError(51)
 
-        def run(c: Context) -> Outcome:
-            place = fixed.truncated(field(c))
+        def run_command(c: CommandContext) -> Outcome:
+            place = fixed.to_integer(field(c))
             if place < low:
                 raise CommandError(6)
-            return go(c.machine.axis(name), c, place)
+            return go(c.machine.find_axis(name), c, place)
 
-        return run
+        return run_command
 
-    command(op, table=table)(compile_place)
+    register_command(op, table=table)(compile_place)
 
 
-def _absolute(axis: Axis, c: Context, place: int) -> Outcome:
-    if not axis.moving and not axis.gear.engaged and axis.mode != "cam":
+def _trip_absolute(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
+    if not axis.is_moving and not axis.gear.is_engaged and axis.mode != "cam":
         return None
-    return place_reached(axis, place, place >= axis.reference(c.machine.now()), commanded=True)
+    return place_reached(axis, place, place >= axis.reference_at(c.machine.current_sample()), commanded=True)
 
 
-def _direction(axis: Axis, now: int) -> int:
+def _motion_direction(axis: ServoAxis, now: int) -> int:
     velocity = axis.command_velocity(now + 1)
-    return -1 if velocity < 0 or (velocity == 0 and axis.mode == "move" and axis.target < axis.command(now)) else 1
+    return -1 if velocity < 0 or (velocity == 0 and axis.mode == "move" and axis.target < axis.command_at(now)) else 1
 
 
-def travelled(axis: Axis, c: Context, place: int) -> Outcome:
-    """`AD`: so far from the start of the move."""
-    if not axis.moving:
+def trip_travelled(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
+    """`AD`: a distance from the start of the move."""
+    if not axis.is_moving:
         return None
-    sign = _direction(axis, c.machine.now())
+    sign = _motion_direction(axis, c.machine.current_sample())
     goal = axis.move_start + sign * place
     axis.mark = goal
     return place_reached(axis, goal, sign > 0, commanded=True)
 
 
-def _relative(axis: Axis, c: Context, place: int) -> Outcome:
-    if not axis.moving:
+def _trip_relative(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
+    if not axis.is_moving:
         return None
-    sign = _direction(axis, c.machine.now())
-    goal = fixed.rounded(axis.mark) + sign * place
+    sign = _motion_direction(axis, c.machine.current_sample())
+    goal = fixed.round_half_up(axis.mark) + sign * place
     axis.mark = goal
     return place_reached(axis, goal, sign > 0, commanded=True)
 
 
-def _forward(axis: Axis, c: Context, place: int) -> Outcome:
+def _trip_forward(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
     return place_reached(axis, place, True, commanded=False)
 
 
-def _reverse(axis: Axis, c: Context, place: int) -> Outcome:
+def _trip_reverse(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
     return place_reached(axis, place, False, commanded=False)
 
 
 _LEAST = -2147483648
-enter_place("AD", travelled, 0)
-enter_place("AR", _relative, 0)
-enter_place("AP", _absolute, _LEAST)
-enter_place("MF", _forward, _LEAST)
-enter_place("MR", _reverse, _LEAST)
+register_place_trip("AD", trip_travelled, 0)
+register_place_trip("AR", _trip_relative, 0)
+register_place_trip("AP", _trip_absolute, _LEAST)
+register_place_trip("MF", _trip_forward, _LEAST)
+register_place_trip("MR", _trip_reverse, _LEAST)

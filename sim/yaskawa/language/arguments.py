@@ -7,24 +7,24 @@ from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.language.expressions import Evaluator, compile_expression
 
 if TYPE_CHECKING:
-    from sim.yaskawa.language.context import Context
+    from sim.yaskawa.language.context import CommandContext
 
 QUERY: Final = "?"
 LETTERS: Final = "XYZWEFGH"
-"""Of all axes that a model of the family can have; which ones a unit has shows when a command is run."""
+"""Letters of all axes that a model of the family can have; the axes of a controller are checked when a command runs."""
 _SAME: Final = {"A": "X", "B": "Y", "C": "Z", "D": "W"}
 
 Field = Evaluator | str | None
-"""What stands in one field: an expression, `QUERY`, or nothing."""
+"""Content of one field: an expression, `QUERY`, or nothing."""
 
 
-def canonical(letter: str) -> str:
-    """The one name of an axis: A B C D are X Y Z W (L2111)."""
+def canonical_axis(letter: str) -> str:
+    """Return the canonical name of an axis: A B C D are X Y Z W (L2111)."""
     return _SAME.get(letter, letter)
 
 
-def split(text: str, separator: str = ",") -> list[str]:
-    """`text` split at separators that stand outside quotes and brackets."""
+def split_fields(text: str, separator: str = ",") -> list[str]:
+    """Split `text` at separators outside quotes and brackets."""
     parts: list[str] = []
     start = depth = 0
     quoted = False
@@ -45,7 +45,7 @@ def split(text: str, separator: str = ",") -> list[str]:
 
 
 def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
-    """The designators in a list of letters, `~a` kept as it is; none given gives an empty tuple."""
+    """Parse the designators in a list of letters, `~a` kept as it is; none given gives an empty tuple."""
     found: list[str] = []
     position = 0
     while position < len(text):
@@ -53,7 +53,7 @@ def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
             found.append(text[position : position + 2])
             position += 2
             continue
-        name = canonical(text[position])
+        name = canonical_axis(text[position])
         if name not in allowed:
             raise CommandError(28 if name in "ST" else 4)
         found.append(name)
@@ -61,9 +61,9 @@ def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
     return tuple(found)
 
 
-def questioned(text: str) -> tuple[str, ...]:
-    """The axes that fields of `?` name; 4 when there is anything else in them."""
-    marks = split(text)
+def queried_axes(text: str) -> tuple[str, ...]:
+    """Return the axes that fields of `?` name; 4 when a field contains anything else."""
+    marks = split_fields(text)
     if len(marks) > len(LETTERS) or any(mark not in ("", "?") for mark in marks):
         raise CommandError(4)
     return tuple(LETTERS[index] for index, mark in enumerate(marks) if mark)
@@ -75,20 +75,20 @@ def parse_field(text: str) -> Field:
     return QUERY if text == "?" else compile_expression(text)
 
 
-def parse_fields(text: str, most: int = len(LETTERS)) -> list[Field]:
-    """Fields by position."""
-    parts = split(text)
-    if len(parts) > most:
+def parse_fields(text: str, max_fields: int = len(LETTERS)) -> list[Field]:
+    """Parse fields by position."""
+    parts = split_fields(text)
+    if len(parts) > max_fields:
         raise CommandError(4)
     return [parse_field(part) for part in parts]
 
 
 def parse_form(text: str, letters: str = LETTERS) -> list[tuple[str, Field]]:
-    """One of the four forms of an axis parameter: pairs of designator (`*` for all) and field."""
+    """Parse one of the four forms of an axis parameter: pairs of designator (`*` for all) and field."""
     if text[:1] == "~" and text[2:3] == "=":
         return [(text[:2], parse_field(text[3:]))]
     if text[1:2] == "=":
-        name = canonical(text[0])
+        name = canonical_axis(text[0])
         if name != "*" and name not in letters + "N":
             raise CommandError(4)
         return [(name, parse_field(text[2:]))]
@@ -96,8 +96,8 @@ def parse_form(text: str, letters: str = LETTERS) -> list[tuple[str, Field]]:
     return [(letters[index], field) for index, field in enumerate(fields) if field is not None]
 
 
-def values(fields: list[Field]) -> Callable[["Context"], list[int | None]]:
-    """The fields' values when run; interrogation is not valid there."""
+def compile_values(fields: list[Field]) -> Callable[["CommandContext"], list[int | None]]:
+    """Compile the fields to their values at run time; interrogation is not valid there."""
     evaluators: list[Evaluator | None] = []
     for field in fields:
         if isinstance(field, str):

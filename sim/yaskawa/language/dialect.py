@@ -1,4 +1,4 @@
-"""The complete command table of the family: importing this module enters every command and operand."""
+"""The complete command table of the family: importing this module registers every command and operand."""
 
 from sim.yaskawa.commands import contour as commands_contour
 from sim.yaskawa.commands import data as commands_data

@@ -1,50 +1,52 @@
-"""The command tables: modules named `commands_…` and `smc2000_…` enter their op-codes here."""
+"""Command tables: the modules of `commands` and `smc2000` register their op-codes here."""
 
 from collections.abc import Callable
 
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.language.expressions import Evaluator
-from sim.yaskawa.language.statements import Command, Outcome, Runner
+from sim.yaskawa.language.statements import CommandDefinition, Outcome, Runner
 
-COMMANDS: dict[str, Command] = {}
-"""As the SMC-4000 has them; other models take what they share from here."""
+COMMANDS: dict[str, CommandDefinition] = {}
+"""Commands of the SMC-4000; other models share entries with it."""
 OPERANDS: dict[str, Callable[[str], Evaluator]] = {}
-"""For each `_XX`: from what follows the op-code to the function that reads it."""
-SMC2000_COMMANDS: dict[str, Command] = {}
-"""What the SMC-2000 alone has, or has otherwise."""
+"""For each `_XX`: from the text after the op-code to the function that reads it."""
+SMC2000_COMMANDS: dict[str, CommandDefinition] = {}
+"""Commands that only the SMC-2000 has, or that differ there."""
 SMC2000_OPERANDS: dict[str, Callable[[str], Evaluator]] = {}
 
 Compiler = Callable[[str], Runner]
 
 
-def command(
-    *ops: str, where: str = "both", lock: str = "", table: dict[str, Command] = COMMANDS
+def register_command(
+    *ops: str, where: str = "both", lock: str = "", table: dict[str, CommandDefinition] = COMMANDS
 ) -> Callable[[Compiler], Compiler]:
-    """Enter a compiler of argument texts for `ops`. lock: levels of `LC` that forbid the command."""
+    """Register a compiler of argument texts for `ops`.
 
-    def enter(compiler: Compiler) -> Compiler:
+    lock: levels of `LC` that forbid the command."""
+
+    def enter_command(compiler: Compiler) -> Compiler:
         for op in ops:
-            table[op] = Command(compiler, where, lock)
+            table[op] = CommandDefinition(compiler, where, lock)
         return compiler
 
-    return enter
+    return enter_command
 
 
-def operand(
+def register_operand(
     *ops: str, table: dict[str, Callable[[str], Evaluator]] = OPERANDS
 ) -> Callable[[Callable[[str], Evaluator]], Callable[[str], Evaluator]]:
-    """Enter a compiler of operand suffixes for `ops`."""
+    """Register a compiler of operand suffixes for `ops`."""
 
-    def enter(compiler: Callable[[str], Evaluator]) -> Callable[[str], Evaluator]:
+    def enter_operand(compiler: Callable[[str], Evaluator]) -> Callable[[str], Evaluator]:
         for op in ops:
             table[op] = compiler
         return compiler
 
-    return enter
+    return enter_operand
 
 
-def bare(text: str) -> None:
-    """Refuse arguments where none are taken."""
+def require_bare(text: str) -> None:
+    """Refuse arguments where none are allowed."""
     if text:
         raise CommandError(4)
 
@@ -54,10 +56,10 @@ __all__ = [
     "OPERANDS",
     "SMC2000_COMMANDS",
     "SMC2000_OPERANDS",
-    "Command",
+    "CommandDefinition",
     "Outcome",
     "Runner",
-    "bare",
-    "command",
-    "operand",
+    "register_command",
+    "register_operand",
+    "require_bare",
 ]

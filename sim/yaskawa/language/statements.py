@@ -8,31 +8,34 @@ from typing import TYPE_CHECKING
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.base.formats import Format
-from sim.yaskawa.language.arguments import canonical, split
+from sim.yaskawa.base.formats import NumberFormat
+from sim.yaskawa.language.arguments import canonical_axis, split_fields
 from sim.yaskawa.language.expressions import compile_expression
-from sim.yaskawa.motion.trippoints import Trip
+from sim.yaskawa.motion.trippoints import TripPoint
 
 if TYPE_CHECKING:
-    from sim.yaskawa.base.model import Model
-    from sim.yaskawa.language.context import Context
+    from sim.yaskawa.base.model import ControllerModel
+    from sim.yaskawa.language.context import CommandContext
 
-Outcome = str | Trip | None
-"""What a command gives: text to answer, something to wait for, or nothing but the prompt."""
-Runner = Callable[["Context"], Outcome]
+Outcome = str | TripPoint | None
+"""Result of a command: text to answer, a condition to wait for, or only the prompt."""
+Runner = Callable[["CommandContext"], Outcome]
 
 _ASSIGNMENT = re.compile(r"([A-Za-z][A-Za-z0-9]*)(\[[^=]*\])?=(?!=)(.*)")
 _SPACED_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*\s+[A-Za-z0-9]")
 _LOCAL = re.compile(r"\{([FS$N^])([-0-9.]*)\}")
 
 
-class Raw(str):
-    """Data that is answered as it stands, without CR LF behind it."""
+class RawData(str):
+    """Data that is sent as it is, without CR LF after it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """One op-code. compile: from its argument text. where: `both`, `program` or `line`; lock: see `LC` (L6735)."""
+class CommandDefinition:
+    """One op-code.
+
+    compile: from its argument text.
+    where: `both`, `program` or `line`; lock: see `LC` (L6735)."""
 
     compile: Callable[[str], Runner]
     where: str = "both"
@@ -40,7 +43,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Statement:
+class CompiledStatement:
     """One instruction, ready to run. `quiet` ones (labels, comments) take no time."""
 
     op: str
@@ -50,17 +53,17 @@ class Statement:
     lock: str = ""
     quiet: bool = False
 
-    def execute(self, c: "Context") -> Outcome:
-        """Run it; `CommandError` when it is refused."""
+    def run_statement(self, c: "CommandContext") -> Outcome:
+        """Run it; raises `CommandError` when it is refused."""
         if self.where != "both" and (self.where == "program") != (c.thread is not None):
             raise CommandError(2 if self.where == "program" else 3)
-        if c.thread is None and c.machine.locks(self.op, self.lock, self.text):
+        if c.thread is None and c.machine.is_locked_command(self.op, self.lock, self.text):
             raise CommandError(130)
         return self.runner(c)
 
 
 def without_blanks(text: str) -> str:
-    """Blanks removed, except inside quotes."""
+    """Return the text without blanks, except inside quotes."""
     if " " not in text:
         return text
     if '"' not in text:
@@ -68,92 +71,94 @@ def without_blanks(text: str) -> str:
     return '"'.join(part if number % 2 else part.replace(" ", "") for number, part in enumerate(text.split('"')))
 
 
-def is_comment(text: str, model: "Model") -> bool:
-    """Whether a statement is a comment (SMC-4000: L7912, SMC-2000: L10567)."""
+def is_comment(text: str, model: "ControllerModel") -> bool:
+    """Return whether a statement is a comment (SMC-4000: L7912, SMC-2000: L10567)."""
     return text.startswith(model.comments) or text == "NO"
 
 
 @lru_cache(maxsize=8192)
-def compile_line(line: str, model: "Model") -> tuple[Statement, ...]:
-    """The statements of a line. What is wrong in one of them shows when it is run."""
-    statements: list[Statement] = []
+def compile_line(line: str, model: "ControllerModel") -> tuple[CompiledStatement, ...]:
+    """Compile the statements of a line. An error in one of them is raised when it runs."""
+    statements: list[CompiledStatement] = []
     rest = line
     while True:
         stripped = rest.lstrip()
         if is_comment(stripped, model):
             head, found, rest = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
-            statements.append(Statement("NO", head, _nothing, quiet=True))
+            statements.append(CompiledStatement("NO", head, _do_nothing, quiet=True))
             if not found:
                 break
             continue
-        text, found, rest = _cut(rest)
+        text, found, rest = _cut_statement(rest)
         statements.append(compile_statement(text.strip(), model))
         if not found:
             break
     return tuple(statements)
 
 
-def finished(line: str, model: "Model") -> int:
-    """How many characters of an unfinished line are whole statements with their semicolons."""
+def finished_length(line: str, model: "ControllerModel") -> int:
+    """Return the number of characters of an unfinished line that are whole statements with their semicolons."""
     done = 0
     while not is_comment(line[done:].lstrip(), model):
-        head, found, _ = _cut(line[done:])
+        head, found, _ = _cut_statement(line[done:])
         if not found:
             break
         done += len(head) + 1
     return done
 
 
-def _cut(line: str) -> tuple[str, bool, str]:
-    head, *tail = split(line, ";") if '"' in line else line.split(";", 1)
+def _cut_statement(line: str) -> tuple[str, bool, str]:
+    head, *tail = split_fields(line, ";") if '"' in line else line.split(";", 1)
     return head, bool(tail), ";".join(tail)
 
 
-def _nothing(c: "Context") -> Outcome:
+def _do_nothing(c: "CommandContext") -> Outcome:
     return None
 
 
-def compile_statement(text: str, model: "Model") -> Statement:
-    """One statement from its text; errors of syntax are raised when it runs."""
+def compile_statement(text: str, model: "ControllerModel") -> CompiledStatement:
+    """Compile one statement from its text; syntax errors are raised when it runs."""
     compact = without_blanks(text)
     if not compact:
-        return Statement("", text, _nothing, quiet=True)
+        return CompiledStatement("", text, _do_nothing, quiet=True)
     if compact.startswith("#"):
-        return Statement("#", text, _nothing, where="program", quiet=True)
+        return CompiledStatement("#", text, _do_nothing, where="program", quiet=True)
     for op in ("ELSE", "ENDIF"):
         if compact == op and op in model.commands:
             command = model.commands[op]
-            return Statement(op, text, command.compile(""), command.where, command.lock)
+            return CompiledStatement(op, text, command.compile(""), command.where, command.lock)
     op = compact[:2]
     try:
         if not _is_spaced_command(text, model) and is_assignment(compact, model):
             if not model.spaced_names and _SPACED_NAME.match(text):
                 raise CommandError(1)
-            return Statement("=", text, _assignment(compact))
+            return CompiledStatement("=", text, _compile_assignment(compact))
         if compact.startswith("~") and model.designators:
-            return Statement("~", text, _variable_axis(compact))
+            return CompiledStatement("~", text, _compile_variable_axis(compact))
         command = model.commands.get(op)
         if command is None:
             raise CommandError(1)
-        return Statement(op, text, command.compile(compact[2:]), command.where, command.lock)
+        return CompiledStatement(op, text, command.compile(compact[2:]), command.where, command.lock)
     except CommandError as error:
         code = error.code
     command = model.commands.get(op)
 
-    def refuse(c: "Context") -> Outcome:
+    def raise_refusal(c: "CommandContext") -> Outcome:
         raise CommandError(code)
 
-    return Statement(op, text, refuse, command.where if command else "both", command.lock if command else "")
+    return CompiledStatement(
+        op, text, raise_refusal, command.where if command else "both", command.lock if command else ""
+    )
 
 
-def _is_spaced_command(text: str, model: "Model") -> bool:
-    """Whether a blank or the kind of op-code says that what follows are arguments, e.g. `MG V1=2`."""
+def _is_spaced_command(text: str, model: "ControllerModel") -> bool:
+    """Return whether a blank or the kind of op-code shows that arguments follow, e.g. `MG V1=2`."""
     op, rest = text[:2], text[2:]
     return op in model.commands and (op == "IF" or (rest[:1] == " " and not rest.lstrip().startswith(("=", "["))))
 
 
-def is_assignment(compact: str, model: "Model") -> bool:
-    """Whether `compact` sets or shows a variable or array element rather than being a command (D8)."""
+def is_assignment(compact: str, model: "ControllerModel") -> bool:
+    """Return whether `compact` sets or shows a variable or array element and is not a command (D8)."""
     match = _ASSIGNMENT.fullmatch(compact)
     if match is None:
         return False
@@ -161,11 +166,11 @@ def is_assignment(compact: str, model: "Model") -> bool:
     if name == "ET" and index is not None:
         return False
     if len(name) == 3 and index is None and name[:2] in model.commands:
-        return canonical(name[2]) not in model.suffixes(name[:2])
+        return canonical_axis(name[2]) not in model.allowed_suffixes(name[:2])
     return True
 
 
-def _assignment(compact: str) -> Runner:
+def _compile_assignment(compact: str) -> Runner:
     match = _ASSIGNMENT.fullmatch(compact)
     if match is None:
         raise CommandError(9)
@@ -174,30 +179,30 @@ def _assignment(compact: str) -> Runner:
     if text in ("", "?") or text.startswith("{"):
         write = local_format(text) if text.startswith("{") else None
 
-        def show(c: "Context") -> Outcome:
+        def show_variable(c: "CommandContext") -> Outcome:
             raw = source(c)
-            return write(c, raw) if write is not None else c.machine.show_value(raw)
+            return write(c, raw) if write is not None else c.machine.format_variable(raw)
 
-        return show
+        return show_variable
     value = compile_expression(text)
     if index_text is None:
 
-        def assign(c: "Context") -> Outcome:
-            c.machine.data.assign(name, value(c))
+        def assign_variable(c: "CommandContext") -> Outcome:
+            c.machine.data.assign_variable(name, value(c))
             return None
 
-        return assign
+        return assign_variable
     index = compile_expression(index_text[1:-1])
 
-    def store(c: "Context") -> Outcome:
-        c.machine.data.store(name, fixed.truncated(index(c)), value(c))
+    def store_element(c: "CommandContext") -> Outcome:
+        c.machine.data.store_element(name, fixed.to_integer(index(c)), value(c))
         return None
 
-    return store
+    return store_element
 
 
-def local_format(text: str) -> Callable[["Context", int], str]:
-    """`{Fm.n}`, `{$m.n}` and `{Sn}` (L16288)."""
+def local_format(text: str) -> Callable[["CommandContext", int], str]:
+    """Parse `{Fm.n}`, `{$m.n}` and `{Sn}` (L16288)."""
     match = _LOCAL.fullmatch(text)
     if match is None or match[1] in "N^":
         raise CommandError(53)
@@ -208,21 +213,21 @@ def local_format(text: str) -> Callable[["Context", int], str]:
             raise CommandError(53)
         return lambda c, raw: fixed.to_string(raw, length)
     try:
-        plain = Format.of(fixed.literal(size or "0"))
+        plain = NumberFormat.from_number(fixed.parse_literal(size or "0"))
     except ValueError:
         raise CommandError(53) from None
-    layout = Format(plain.digits, plain.decimals, kind == "$")
-    return lambda c, raw: layout.write(raw, c.machine.layout)
+    layout = NumberFormat(plain.digits, plain.decimals, kind == "$")
+    return lambda c, raw: layout.format_value(raw, c.machine.layout)
 
 
-def _variable_axis(compact: str) -> Runner:
-    """`~a=n`: what the designator `~a` stands for (L7780)."""
+def _compile_variable_axis(compact: str) -> Runner:
+    """`~a=n`: set the axis of the designator `~a` (L7780)."""
     if len(compact) < 4 or compact[2] != "=" or compact[1] not in "abcd":
         raise CommandError(4)
     name = compact[:2]
     text = compact[3:]
     if text.startswith('"') and len(text) == 3:
-        letter = canonical(text[1])
+        letter = canonical_axis(text[1])
         return lambda c: c.machine.name_axis(name, letter)
     value = compile_expression(text)
-    return lambda c: c.machine.number_axis(name, fixed.truncated(value(c)))
+    return lambda c: c.machine.number_axis(name, fixed.to_integer(value(c)))

@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
-class Cam:
-    """Master, table and cycles. Positions in counts. points: how many entries the table has."""
+class ElectronicCam:
+    """Master, table and cycles. Positions in counts.
+
+    points: number of entries of the table."""
 
     points: int
     master_cycle: int | None = None
@@ -20,32 +22,37 @@ class Cam:
     cycles: dict[str, int] = field(default_factory=dict[str, int])
     table: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
     waiting: dict[tuple[str, str], int] = field(default_factory=dict[tuple[str, str], int])
-    """For each slave that waits and what for (`EG`, `EQ`): the master position."""
+    """For each waiting slave and its order (`EG`, `EQ`): the master position."""
     followers: set[str] = field(default_factory=set[str])
 
     @property
-    def cycle(self) -> int:
+    def effective_cycle(self) -> int:
         """The master's cycle; 0 when none is defined."""
         return self.cycles.get((self.master or "")[-1:], 0) if self.master_cycle is None else self.master_cycle
 
-    def release(self) -> None:
-        """No slave follows or waits any more, as after a reset."""
+    def disengage_all(self) -> None:
+        """Disengage all slaves and cancel their orders, as after a reset."""
         self.enabled = False
         self.followers.clear()
         self.waiting.clear()
 
-    def store(self, slave: str, index: int, value: int) -> None:
+    def store_point(self, slave: str, index: int, value: int) -> None:
         self.table.setdefault(slave, [0] * self.points)[index] = value
 
-    def turns(self, master: float) -> int:
-        """Whole cycles up to an unmodularised master position."""
-        return int((master - self.start) // self.cycle) if self.cycle else 0
+    def count_turns(self, master: float) -> int:
+        """Return the whole cycles up to an unmodularised master position."""
+        return int((master - self.start) // self.effective_cycle) if self.effective_cycle else 0
 
-    def value(self, slave: str, master: float) -> float:
-        """The slave's position for an unmodularised master position, cycles added up (D58: linear between points)."""
+    def slave_position(self, slave: str, master: float) -> float:
+        """Return the slave's position for an unmodularised master position, cycles added up (D58: linear between
+        points)."""
         table = self.table.get(slave) or [0] * self.points
-        turns = self.turns(master)
-        rest = master - self.start - turns * self.cycle if self.cycle else max(master - self.start, 0.0)
+        turns = self.count_turns(master)
+        rest = (
+            master - self.start - turns * self.effective_cycle
+            if self.effective_cycle
+            else max(master - self.start, 0.0)
+        )
         index = min(int(rest // self.interval), self.points - 2)
         share = (rest - index * self.interval) / self.interval
         low, high = table[index], table[index + 1]
@@ -56,12 +63,12 @@ class Cam:
 class CamPath:
     """An engaged slave."""
 
-    cam: Cam
+    cam: ElectronicCam
     slave: str
     master: Callable[[float], float]
 
     def position(self, at: float) -> float:
-        return self.cam.value(self.slave, self.master(at))
+        return self.cam.slave_position(self.slave, self.master(at))
 
     def velocity(self, at: float) -> float:
         return self.position(at) - self.position(at - 1)

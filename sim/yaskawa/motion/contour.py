@@ -6,7 +6,7 @@ from math import inf
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class ContourRecord:
     """`increments` in counts for each contouring axis over `samples`; 0 samples ends contouring (L4274)."""
 
     increments: tuple[int, ...]
@@ -16,29 +16,29 @@ class Record:
 _KEPT = 1024
 
 
-class Contour:
-    """The records of one contour: one executing, one waiting behind it (D12). Time in samples."""
+class ContourMotion:
+    """The records of one contour: one executing, one waiting for it (D12). Time in samples."""
 
     def __init__(self, axes: tuple[str, ...], at: int, positions: tuple[float, ...]) -> None:
         self.axes = axes
-        self.waiting: Record | None = None
+        self.waiting: ContourRecord | None = None
         self.started: int | None = None
         """Sample at which the first record began."""
         self.count = 0
         self.end: float = inf
-        """When the executing record is done; infinite when none executes."""
+        """Sample at which the executing record ends; infinite when none executes."""
         self.changed: list[int | None] = [None] * len(axes)
         """For each axis the sample of its last commanded change."""
         self._starts = [at]
         self._bases = [positions]
-        self._records = [Record((0,) * len(axes), 1)]
+        self._records = [ContourRecord((0,) * len(axes), 1)]
 
     @property
-    def executing(self) -> bool:
+    def is_executing(self) -> bool:
         return self.end != inf
 
-    def execute(self, record: Record, at: int) -> None:
-        """`record` runs from `at` on."""
+    def execute_record(self, record: ContourRecord, at: int) -> None:
+        """Run `record` from `at` on."""
         base = tuple(self.position(index, at) for index in range(len(self.axes)))
         if self.started is None:
             self.started = at
@@ -62,7 +62,7 @@ class Contour:
         return self._bases[slot][index] + record.increments[index] * share
 
     def velocity(self, index: int, at: float) -> float:
-        """Of the record that runs; in the instant in which one ends, its own: the next one may follow."""
+        """Return the velocity of the running record; at the instant when one ends, its own: the next one may follow."""
         slot = bisect_right(self._starts, at) - 1
         if slot < 0 or at > self._starts[slot] + self._records[slot].samples:
             return 0.0
@@ -73,7 +73,7 @@ class Contour:
 class ContourPath:
     """One axis of a contour."""
 
-    contour: Contour
+    contour: ContourMotion
     index: int
 
     def position(self, at: float) -> float:

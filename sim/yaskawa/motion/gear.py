@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 
-class Gear:
-    """Adds ratio x the master's travel. Evaluated when somebody asks; positions in counts, time in samples."""
+class ElectronicGear:
+    """Adds ratio x the master's travel. Evaluated on access; positions in counts, time in samples."""
 
     def __init__(self) -> None:
         self.source = ""
@@ -16,22 +16,22 @@ class Gear:
         self._base = 0.0
         self._origin = 0.0
 
-    def select(self, source: str, master: Callable[[float], float] | None, at: float) -> None:
+    def select_master(self, source: str, master: Callable[[float], float] | None, at: float) -> None:
         """`GA`."""
-        self._hold(at)
+        self._freeze_share(at)
         self.source, self._master = source, master
-        self._resume(at)
+        self._resume_share(at)
 
     def set_ratio(self, ratio: float, at: float) -> None:
         """`GR`: takes effect at once; 0 switches off."""
-        self._hold(at)
+        self._freeze_share(at)
         self.ratio = ratio
-        self._resume(at)
+        self._resume_share(at)
 
-    def restart(self, at: float) -> None:
-        """Count from here."""
+    def restart_count(self, at: float) -> None:
+        """Count from the present position."""
         self._base = 0.0
-        self._resume(at)
+        self._resume_share(at)
 
     def position(self, at: float) -> float:
         if self._master is None or not self.ratio:
@@ -39,16 +39,16 @@ class Gear:
         return self._base + self.ratio * (self._master(at) - self._origin)
 
     def velocity(self, at: float) -> float:
-        """Counts per sample."""
+        """Return counts per sample."""
         return self.position(at) - self.position(at - 1) if self.ratio else 0.0
 
     @property
-    def engaged(self) -> bool:
+    def is_engaged(self) -> bool:
         return self._master is not None and self.ratio != 0.0
 
-    def _hold(self, at: float) -> None:
+    def _freeze_share(self, at: float) -> None:
         self._base = self.position(at)
 
-    def _resume(self, at: float) -> None:
+    def _resume_share(self, at: float) -> None:
         self._origin = self._master(at) if self._master is not None else 0.0
-        self.on = self.engaged or self._base != 0.0
+        self.on = self.is_engaged or self._base != 0.0

@@ -7,7 +7,7 @@ Point = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class PathSegment:
     """A piece of path. `length` in counts along the path; speeds in counts/s, None when not given.
 
     `radius` 0 is a straight line from `start` to `end`; otherwise an arc from `angle` over `sweep` degrees.
@@ -23,8 +23,8 @@ class Segment:
     sweep: float = 0.0
     scale: tuple[float, float] = (1.0, 1.0)
 
-    def point(self, along: float) -> Point:
-        """Coordinates at `along` counts from the start."""
+    def point_at(self, along: float) -> Point:
+        """Return the coordinates at `along` counts from the start."""
         share = min(max(along / self.length, 0.0), 1.0)
         if not self.radius:
             return tuple(a + (b - a) * share for a, b in zip(self.start, self.end, strict=True))
@@ -34,21 +34,21 @@ class Segment:
             self.start[1] + self.radius * (sin(now) - sin(first)) * self.scale[1],
         )
 
-    def heading(self, along: float) -> float:
-        """Direction of travel in the plane, degrees."""
+    def heading_at(self, along: float) -> float:
+        """Return the direction of travel in the plane, degrees."""
         if not self.radius:
             return degrees(atan2(self.end[1] - self.start[1], self.end[0] - self.start[0]))
         turn = 90.0 if self.sweep > 0 else -90.0
         return self.angle + self.sweep * min(max(along / self.length, 0.0), 1.0) + turn
 
 
-def line(start: Point, end: Point, scale: Point, entry: float | None, leave: float | None) -> Segment:
-    """A straight segment; its length is measured before `scale` stretches the axes."""
+def linear_segment(start: Point, end: Point, scale: Point, entry: float | None, leave: float | None) -> PathSegment:
+    """Make a straight segment; its length is measured before `scale` stretches the axes."""
     length = hypot(*((b - a) / s for a, b, s in zip(start, end, scale, strict=True)))
-    return Segment(start, end, length, entry, leave)
+    return PathSegment(start, end, length, entry, leave)
 
 
-def arc(
+def arc_segment(
     start: Point,
     radius: float,
     angle: float,
@@ -56,8 +56,8 @@ def arc(
     scale: tuple[float, float],
     entry: float | None,
     leave: float | None,
-) -> Segment:
-    """A circular segment (an elliptic one when `scale` differs from 1); angles in degrees, positive is CCW."""
+) -> PathSegment:
+    """Make a circular segment (an elliptic one when `scale` differs from 1); angles in degrees, positive is CCW."""
     length = abs(radius * radians(sweep))
-    shape = Segment(start, start, length or 1.0, entry, leave, radius, angle, sweep, scale)
-    return Segment(start, shape.point(length), length, entry, leave, radius, angle, sweep, scale)
+    shape = PathSegment(start, start, length or 1.0, entry, leave, radius, angle, sweep, scale)
+    return PathSegment(start, shape.point_at(length), length, entry, leave, radius, angle, sweep, scale)

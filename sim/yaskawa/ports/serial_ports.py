@@ -2,29 +2,31 @@
 
 import re
 
-from sim.yaskawa.language.statements import Statement, compile_line
-from sim.yaskawa.ports.ports import Port
+from sim.yaskawa.language.statements import CompiledStatement, compile_line
+from sim.yaskawa.ports.ports import PortSession
 from sim.yaskawa.program.entry import OperatorEntry
 
 BUFFER = 256
-"""Characters that wait while the interpreter is held; what comes beyond is lost, with error 5 (D13)."""
+"""Characters that wait while the interpreter is blocked; further ones are lost, with error 5 (D13)."""
 _ESCAPE = "\x1b"
 HEARD, MUTED = 1, 0
 _COMMAND = re.compile(r'[^\r;"\n\x12]*[\r;]')
-"""One command with its terminator, and nothing in it that means more than itself."""
+"""One command with its terminator, without characters of special meaning."""
 
 
-class CommandPort(Port):
-    """Port 1. Each command runs when its own terminator has come (D3), and the rest of a line runs after an error (D4).
+class CommandPort(PortSession):
+    """Port 1. Each command runs when its own terminator has arrived (D3), and the rest of a line runs after an error
+    (D4).
 
-    A unit of a daisy chain takes commands between its own `%A` and another's. One with `!` is taken by all; only
-    address 0 echoes and answers it (L945-L949). A line that begins with `%` is echoed by the unit selected so far.
+    A controller of a daisy chain takes commands between its own `%A` and another's. All take a command with `!`;
+    only address 0 echoes and answers it (L945-L949). A line that begins with `%` is echoed by the controller
+    selected so far.
     """
 
     _muted = False
     _quoted = False
     _fresh = True
-    """Nothing of the present line has come yet."""
+    """No character of the present line has arrived yet."""
 
     def receive(self, data: bytes) -> None:
         if not self.open:
@@ -35,50 +37,50 @@ class CommandPort(Port):
         whole = self._takes_whole(text, entry)
         self._fresh = self._fresh or whole
         if whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
-            return  # another unit's, as most of what passes on a chain
-        machine.look()
+            return  # for another controller, as most of the bytes on a chain
+        machine.advance_to_now()
         if whole:
-            self._append(text[:-1])
+            self._append_text(text[:-1])
             self._end_line(HEARD)
-            machine.go_on()
+            machine.run_ready()
             return
         for character in text:
-            if machine.echo or machine.interrupting_on or entry.enabled:
-                self._arrive(character, entry)
+            if machine.echo or machine.interrupting_on or entry.is_enabled:
+                self._receive_character(character, entry)
             else:
                 self._fresh = character in "\r;"
                 self._packets.append((character, HEARD))
-                self.feed()
-        self.feed()
-        machine.go_on()
+                self.parse_input()
+        self.parse_input()
+        machine.run_ready()
 
     def _takes_whole(self, text: str, entry: OperatorEntry) -> bool:
-        """Whether `text` is a command that does not have to be looked at character by character."""
+        """Return whether `text` is a command that needs no character-by-character processing."""
         machine = self.machine
         return (
-            not (machine.echo or machine.interrupting_on or entry.enabled or self._packets)
-            and not (self._control or self._quoted or self._holds() or self.download is not None)
+            not (machine.echo or machine.interrupting_on or entry.is_enabled or self._packets)
+            and not (self._control or self._quoted or self._awaits_download() or self.download is not None)
             and _COMMAND.fullmatch(text) is not None
         )
 
-    def _arrive(self, character: str, entry: OperatorEntry) -> None:
+    def _receive_character(self, character: str, entry: OperatorEntry) -> None:
         machine = self.machine
-        if self._echoes(character):
-            self.emit(character)
+        if self._is_echoed(character):
+            self.emit_text(character)
         mode = machine.interrupting["S"]
-        if entry.enabled:
+        if entry.is_enabled:
             if character in ("\\", _ESCAPE):
-                entry.enable(False)
+                entry.set_enabled(False)
                 return
-            entry.take(character)
+            entry.take_character(character)
         else:
             self._packets.append((character, HEARD))
         if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
             machine.interrupting_on = not machine.interpreter.raise_event("COMINT")
-        if not entry.enabled:
-            self.feed()
+        if not entry.is_enabled:
+            self.parse_input()
 
-    def _echoes(self, character: str) -> bool:
+    def _is_echoed(self, character: str) -> bool:
         broadcast = self._line.startswith("!") or (self._fresh and character == "!")
         machine = self.machine
         self._fresh = character in "\r;"
@@ -86,11 +88,11 @@ class CommandPort(Port):
             return False
         return machine.address == 0 if broadcast else machine.selected is not False
 
-    def feed(self) -> None:
-        while self._packets and not self._holds():
+    def parse_input(self) -> None:
+        while self._packets and not self._awaits_download():
             text, packet = self._packets.popleft()
             if self.download is not None:
-                self._load(text, packet)
+                self._collect_download(text, packet)
             elif self._control or text == "\x12":
                 self._take_control(text)
             elif text == "\n":
@@ -99,17 +101,17 @@ class CommandPort(Port):
                 self._end_line(packet)
             else:
                 self._quoted ^= text == '"'
-                self._append(text)
+                self._append_text(text)
 
     def _take_control(self, character: str) -> None:
         if self.machine.selected is not False:
-            self._take(character, HEARD)
+            self._take_character(character, HEARD)
 
     def _end_line(self, packet: int) -> None:
         self._quoted = False
         line, machine = self._line.strip(), self.machine
         if line.startswith("%"):
-            self._select(line[1:].strip())
+            self._select_address(line[1:].strip())
             return
         broadcast = line.startswith("!")
         if machine.selected is False and not broadcast:
@@ -119,73 +121,74 @@ class CommandPort(Port):
         if self._overlong or sum(len(statement.text) for statement, _ in self.queue) > BUFFER:
             self._line, self._overlong = "", False
             self._muted = packet == MUTED
-            self.refuse(5)
+            self.refuse_command(5)
             return
         self._line = ""
-        if machine.take_input(self, line):
+        if machine.accept_input(self, line):
             return
         for statement in compile_line(line.removeprefix("!"), machine.model):
             self.queue.append((statement, packet))
-        machine.interpreter.pump()
+        machine.interpreter.run_ready()
 
-    def _select(self, address: str) -> None:
-        """`%A`: the unit with that address takes what follows, and answers this (D7, D8)."""
+    def _select_address(self, address: str) -> None:
+        """`%A`: select the controller with that address, which answers this (D7, D8)."""
         self._line, self._overlong = "", False
         machine = self.machine
         machine.selected = address == str(machine.address)
         if machine.selected:
-            self.queue.append((Statement("%", f"%{address}", lambda c: None), HEARD))
-            machine.interpreter.pump()
+            self.queue.append((CompiledStatement("%", f"%{address}", lambda c: None), HEARD))
+            machine.interpreter.run_ready()
 
     def run_next(self) -> None:
         self._muted = bool(self.queue) and self.queue[0][1] == MUTED
         super().run_next()
 
-    def _drop(self, packet: int) -> None:
-        """What follows a refused command is further input (D4)."""
+    def _drop_rest(self, packet: int) -> None:
+        """Keep the text after a refused command: it is further input (D4)."""
 
-    def answer(self, text: str) -> None:
+    def send_reply(self, text: str) -> None:
         if not self._muted:
-            self.emit(text)
+            self.emit_text(text)
         self._muted = False
 
-    def unsolicited(self, text: str) -> None:
-        """Units that are not selected are silent (D9)."""
+    def send_unsolicited(self, text: str) -> None:
+        """Send unsolicited text; controllers that are not selected are silent (D9)."""
         if self.machine.selected is not False:
-            self.emit(text)
+            self.emit_text(text)
 
 
-class GeneralPort(Port):
-    """Port 2 as a general port: an operator's panel, not a source of commands (L917-L931, L4807). Deaf before `CC`."""
+class GeneralPort(PortSession):
+    """Port 2 as a general port: an operator's panel, not a source of commands (L917-L931, L4807). Inactive before
+    `CC`."""
 
     def receive(self, data: bytes) -> None:
         machine = self.machine
         baud, _, chained, echo = machine.second_line
         if not self.open or not baud or chained:
             return
-        machine.look()
+        machine.advance_to_now()
         for character in data.decode("latin-1"):
             if echo:
-                self.emit(character)
-            self._arrive(character)
-        machine.go_on()
+                self.emit_text(character)
+            self._receive_character(character)
+        machine.run_ready()
 
-    def _arrive(self, character: str) -> None:
+    def _receive_character(self, character: str) -> None:
         machine = self.machine
         main = machine.interpreter.threads[0]
         if main.input_for and main.input_port == self.name:
             if character not in "\r;":
-                self._append(character)
+                self._append_text(character)
                 return
             line, self._line = self._line, ""
-            machine.take_input(self, line)
+            machine.accept_input(self, line)
             return
         entry = machine.entries["2"]
         if character in ("\\", _ESCAPE):
-            entry.enable(False)
+            entry.set_enabled(False)
             return
-        if entry.enabled:
-            entry.take(character)
+        if entry.is_enabled:
+            entry.take_character(character)
         mode = machine.interrupting["2"]
         if machine.interrupting_on and (mode == 2 or (mode == 1 and character == "\r")):
             machine.interrupting_on = not machine.interpreter.raise_event("COMINT")

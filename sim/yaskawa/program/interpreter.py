@@ -7,41 +7,42 @@ from typing import TYPE_CHECKING
 from orchestrator.clock.base import NS_PER_MS
 from sim.yaskawa.base.errors import CommandError
 from sim.yaskawa.base.timebase import NEVER_NS
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.statements import Raw, Statement, compile_line
-from sim.yaskawa.motion.trippoints import Trip, at_sample
-from sim.yaskawa.program.threads import Thread
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.statements import CompiledStatement, RawData, compile_line
+from sim.yaskawa.motion.trippoints import TripPoint, at_sample
+from sim.yaskawa.program.threads import ProgramThread
 
 if TYPE_CHECKING:
-    from sim.yaskawa.machine import Machine
-    from sim.yaskawa.ports.ports import Port
+    from sim.yaskawa.machine import ControllerCore
+    from sim.yaskawa.ports.ports import PortSession
 
 _LOOPS_PER_SAMPLE = 4
-"""How often an instant interpreter lets a thread jump backward in one sample, so that a busy loop costs little."""
+"""Number of backward jumps per sample that an instant interpreter allows a thread, so that a busy loop costs little."""
 
 NO_BREAK = -2147483648
 
 LEEWAY_NS = 20 * NS_PER_MS
-"""How late, live, a program may be seen to that does nothing but wait and jump, and the first of several commands that
-came together: sixteen that poll a gate are woken for each command else, and keep two processors from what they are
-there for. Who looks finds all where it should be."""
-_UNSEEN = ("WT", "JP", "#")
+"""Allowed delay, live, of a program that only waits and jumps, and of the first of several commands that arrived
+together: otherwise sixteen programs that poll a release gate wake for each command, and keep two processors from
+their real work. An access from outside still finds the correct state."""
+_WAITING_OPS = ("WT", "JP", "#")
 
 
-class Interpreter:
-    """Takes turns: one command of a port, one line of a thread. Each command takes `decode` device time."""
+class SharedInterpreter:
+    """Alternates between one command of a port and one line of a thread. Each command takes `delay_ns` of device
+    time."""
 
-    def __init__(self, machine: "Machine", delay_ns: Callable[[bool], int]) -> None:
+    def __init__(self, machine: "ControllerCore", delay_ns: Callable[[bool], int]) -> None:
         self.machine = machine
         self.delay_ns = delay_ns
-        self.threads = [Thread(number) for number in range(machine.model.threads)]
-        self.contexts = [Context(machine, thread) for thread in self.threads]
+        self.threads = [ProgramThread(number) for number in range(machine.model.threads)]
+        self.contexts = [CommandContext(machine, thread) for thread in self.threads]
         self.busy = False
         self.decoded_ns = NEVER_NS
-        """True instant at which the command under way will have been decoded."""
+        """True instant at which the present command will have been decoded."""
         self.leeway_ns = 0
-        """How much later that may be seen to."""
-        self._decoding: tuple[Port | None, Thread | None] = (None, None)
+        """Allowed delay of its processing."""
+        self._decoding: tuple[PortSession | None, ProgramThread | None] = (None, None)
         self.trace = False
         self.break_at: tuple[int, int] | None = None
         self.break_hit = False
@@ -52,15 +53,15 @@ class Interpreter:
         self.interrupts = 0
         self.active_high = 0
         self.interrupts_on = False
-        self._current: Thread | None = None
+        self._current: ProgramThread | None = None
         self._turn = 0
 
-    def reset(self) -> None:
-        """Power-up: nothing runs."""
+    def reset_threads(self) -> None:
+        """Power-up: stop everything."""
         for thread in self.threads:
-            thread.halt()
+            thread.halt_thread()
         self.trace = self.break_hit = self.interrupts_on = False
-        self._forget()
+        self._cancel_decoding()
         self.break_at = None
         self.interrupts = self.active_high = 0
         self._current = None
@@ -70,193 +71,198 @@ class Interpreter:
 
     def halt_all(self) -> None:
         for thread in self.threads:
-            thread.halt()
+            thread.halt_thread()
 
-    def due(self, now: int) -> float:
-        """The next sample at which a waiting thread or port has to be looked at."""
+    def next_check(self, now: int) -> float:
+        """Return the next sample at which a waiting thread or port has to be checked."""
         due = inf
         for thread in self.threads:
             if thread.trip is not None:
                 due = min(due, thread.trip.due(self.machine, now))
-        for port in self.machine.ports.all():
+        for port in self.machine.ports.open_ports():
             if port.trip is not None:
                 due = min(due, port.trip.due(self.machine, now))
         return due
 
-    def unseen_at(self, due: float, now: int) -> bool:
-        """Whether those that are due by then are programs that only wait and jump."""
-        if any(port.trip is not None for port in self.machine.ports.all()):
+    def only_waits_at(self, due: float, now: int) -> bool:
+        """Return whether those due by then are programs that only wait and jump."""
+        if any(port.trip is not None for port in self.machine.ports.open_ports()):
             return False
         return all(
-            thread.trip is None or thread.trip.due(self.machine, now) > due or self.unseen(thread)
+            thread.trip is None or thread.trip.due(self.machine, now) > due or self.only_waits(thread)
             for thread in self.threads
         )
 
-    def release(self, now: int) -> None:
-        """Let go what has waited for something that has happened."""
+    def resume_waiting(self, now: int) -> None:
+        """Resume those whose condition is fulfilled."""
         for thread in self.threads:
             if thread.trip is not None and thread.trip.passed(self.machine, now):
                 thread.trip, thread.resting = None, False
-        for port in self.machine.ports.all():
+        for port in self.machine.ports.open_ports():
             if port.trip is not None and port.trip.passed(self.machine, now):
                 port.trip = None
-                port.accept(None)
+                port.accept_command(None)
 
-    def pump(self) -> None:
-        """Run whatever is ready; come back by the clock when commands take time."""
-        if self.busy and self.leeway_ns and any(port.queue for port in self.machine.ports.all()):
+    def run_ready(self) -> None:
+        """Run all that is ready; return by the clock when commands take time."""
+        if self.busy and self.leeway_ns and any(port.queue for port in self.machine.ports.open_ports()):
             self.leeway_ns = 0
             self.machine.set_alarm()
         while not self.busy:
-            port, thread = self._choose()
+            port, thread = self._choose_next()
             if port is None and thread is None:
                 return
             delay_ns = self.delay_ns(port is None)
             if not delay_ns:
-                self._perform(port, thread)
+                self._perform_decoded(port, thread)
                 continue
-            self._decode(port, thread, delay_ns)
+            self._begin_decoding(port, thread, delay_ns)
             self.leeway_ns = self._leeway_ns(port, thread, delay_ns)
             self.machine.set_alarm()
 
-    def _decode(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> None:
-        """Begin with the next command of one of them."""
+    def _begin_decoding(self, port: "PortSession | None", thread: ProgramThread | None, delay_ns: int) -> None:
+        """Begin to decode the next command of a port or a thread."""
         self.busy = True
         self.decoded_ns = self.machine.timebase.after_ns(delay_ns)
         self._decoding = (port, thread)
 
-    def _leeway_ns(self, port: "Port | None", thread: Thread | None, delay_ns: int) -> int:
-        if any(each.queue for each in self.machine.ports.all() if each is not port):
+    def _leeway_ns(self, port: "PortSession | None", thread: ProgramThread | None, delay_ns: int) -> int:
+        if any(each.queue for each in self.machine.ports.open_ports() if each is not port):
             return 0
         if port is not None:
-            # What came together is answered together.
+            # Commands that arrived together are answered together.
             return min(LEEWAY_NS, (len(port.queue) - 1) * delay_ns)
-        return LEEWAY_NS if thread is not None and self.unseen(thread) else 0
+        return LEEWAY_NS if thread is not None and self.only_waits(thread) else 0
 
-    def unseen(self, thread: Thread) -> bool:
-        """Whether all that the rest of its line does is to wait and to jump."""
-        return all(each.op in _UNSEEN for each in self.line(thread.line)[thread.index :])
+    def only_waits(self, thread: ProgramThread) -> bool:
+        """Return whether the rest of its line only waits and jumps."""
+        return all(each.op in _WAITING_OPS for each in self.compiled_line(thread.line)[thread.index :])
 
-    def decoded(self) -> None:
-        """The command under way has been decoded, at its `decoded_ns`: run it."""
+    def run_decoded(self) -> None:
+        """Run the present command, which was decoded at its `decoded_ns`."""
         port, thread = self._decoding
         timebase = self.machine.timebase
-        timebase.begin(self.decoded_ns)
-        self._forget()
+        timebase.begin_event(self.decoded_ns)
+        self._cancel_decoding()
         try:
-            self.machine.settle()
-            self._perform(port, thread)
-            self.machine.go_on()
+            self.machine.settle_events()
+            self._perform_decoded(port, thread)
+            self.machine.run_ready()
         finally:
-            timebase.end()
+            timebase.end_event()
 
-    def _forget(self) -> None:
-        """Nothing is being decoded any more."""
+    def _cancel_decoding(self) -> None:
+        """Cancel the decoding in progress."""
         self.busy = False
         self.decoded_ns, self.leeway_ns = NEVER_NS, 0
 
     def poll_alone(self, wake_ns: int, before_ns: int) -> bool:
-        """Have a program that only waits and jumps do so up to `before_ns`, if there is nothing else that it could
-        meet; whether it has. It does just what `decoded` and the look at each sample would, one after the other, in
-        half of the time: sixteen that poll a gate took half a processor. wake_ns: when the sample comes that it waits
-        for.
+        """Run a program that only waits and jumps up to `before_ns`, if no other event can interfere; return whether
+        it did. The result equals that of `run_decoded` and of the check at each sample, one after the other, in
+        half of the time: sixteen that poll a release gate took half a processor.
+
+        wake_ns: the instant of the sample that it waits for.
         """
         machine, timebase = self.machine, self.machine.timebase
-        thread = self._alone()
+        thread = self._sole_program()
         if thread is None:
             return False
         done = False
         try:
-            while thread.line < len(machine.program.lines) and self.unseen(thread):
+            while thread.line < len(machine.program.lines) and self.only_waits(thread):
                 due_ns = self.decoded_ns if self.busy else wake_ns
                 if due_ns >= before_ns:
                     break
-                timebase.begin(due_ns)
+                timebase.begin_event(due_ns)
                 if self.busy:
-                    self._forget()
-                    self._step(thread)
-                elif thread.trip is not None and thread.trip.passed(machine, machine.now()):
+                    self._cancel_decoding()
+                    self._step_thread(thread)
+                elif thread.trip is not None and thread.trip.passed(machine, machine.current_sample()):
                     thread.trip, thread.resting = None, False
                 else:
                     break
                 done = True
                 if thread.trip is not None:
-                    now = machine.now()
+                    now = machine.current_sample()
                     due = thread.trip.due(machine, now)
                     wake_ns = NEVER_NS if due == inf else timebase.true_ns(int(max(due, now)))
-                elif thread.ready:
-                    self._choose()
-                    self._decode(None, thread, self.delay_ns(True))
+                elif thread.is_ready:
+                    self._choose_next()
+                    self._begin_decoding(None, thread, self.delay_ns(True))
                 else:
                     break
             if done:
-                if self.busy and self.unseen(thread):
+                if self.busy and self.only_waits(thread):
                     self.leeway_ns = LEEWAY_NS
-                machine.moved_on()
+                machine.discard_schedule()
         finally:
-            timebase.end()
+            timebase.end_event()
         return done
 
-    def _alone(self) -> Thread | None:
-        """The program that is all that goes on in the controller, if it only waits and jumps."""
+    def _sole_program(self) -> ProgramThread | None:
+        """Return the only active program of the controller, if it only waits and jumps."""
         machine = self.machine
         running = [thread for thread in self.threads if thread.running]
-        if len(running) != 1 or running[0].paused or not self.unseen(running[0]):
+        if len(running) != 1 or running[0].paused or not self.only_waits(running[0]):
             return None
         thread = running[0]
-        if (self.busy and self._decoding != (None, thread)) or machine.instant_programs or machine.soon() != inf:
+        if (
+            (self.busy and self._decoding != (None, thread))
+            or machine.instant_programs
+            or machine.next_event_sample() != inf
+        ):
             return None
-        if self.trace or self.break_at is not None or machine.events.watched:
+        if self.trace or self.break_at is not None or machine.events.has_routines:
             return None
-        if any(port.queue or port.trip is not None for port in machine.ports.all()):
+        if any(port.queue or port.trip is not None for port in machine.ports.open_ports()):
             return None
         return thread
 
-    def _choose(self) -> "tuple[Port | None, Thread | None]":
+    def _choose_next(self) -> "tuple[PortSession | None, ProgramThread | None]":
         current = self._current
-        if self.machine.model.by_line and current is not None and current.ready and current.index:
+        if self.machine.model.by_trigger_line and current is not None and current.is_ready and current.index:
             return None, current
         self._current = None
         first = self._turn
-        ready = [thread for thread in self.threads if thread.running and thread.ready]
+        ready = [thread for thread in self.threads if thread.running and thread.is_ready]
         for thread in ready:
             if 0 < first <= thread.number + 1:
-                return None, self._chosen(thread)
-        for port in self.machine.ports.all():
+                return None, self._take_turn(thread)
+        for port in self.machine.ports.open_ports():
             if port.queue and port.trip is None:
                 self._turn = 1
                 return port, None
-        return None, self._chosen(ready[0]) if ready else None
+        return None, self._take_turn(ready[0]) if ready else None
 
-    def _chosen(self, thread: Thread) -> Thread:
+    def _take_turn(self, thread: ProgramThread) -> ProgramThread:
         self._turn = (thread.number + 2) % (len(self.threads) + 1)
         return thread
 
-    def _perform(self, port: "Port | None", thread: Thread | None) -> None:
+    def _perform_decoded(self, port: "PortSession | None", thread: ProgramThread | None) -> None:
         if port is not None:
             port.run_next()
-        elif thread is not None and thread.ready:
-            self._step(thread)
+        elif thread is not None and thread.is_ready:
+            self._step_thread(thread)
 
     # Threads
 
-    def line(self, number: int) -> tuple[Statement, ...]:
-        """The compiled statements of a program line."""
+    def compiled_line(self, number: int) -> tuple[CompiledStatement, ...]:
+        """Return the compiled statements of a program line."""
         lines = self.machine.program.lines
         return compile_line(lines[number], self.machine.model) if number < len(lines) else ()
 
-    def _step(self, thread: Thread) -> None:
+    def _step_thread(self, thread: ProgramThread) -> None:
         lines = self.machine.program.lines
         if thread.line >= len(lines):
-            thread.halt()
+            thread.halt_thread()
             return
         if thread.index == 0:
-            if self._breaks(thread):
+            if self._reaches_break(thread):
                 return
             if self.trace:
-                self.machine.ports.message(f"{thread.line:03d} {lines[thread.line]}\r\n")
-            self.machine.events.poll()
-        statements = self.line(thread.line)
+                self.machine.ports.send_message(f"{thread.line:03d} {lines[thread.line]}\r\n")
+            self.machine.events.start_due_routines()
+        statements = self.compiled_line(thread.line)
         self._current = thread
         while thread.index < len(statements) and statements[thread.index].quiet:
             thread.index += 1
@@ -267,23 +273,23 @@ class Interpreter:
         place = (thread.line, thread.index)
         thread.index += 1
         try:
-            outcome = statement.execute(self.contexts[thread.number])
+            outcome = statement.run_statement(self.contexts[thread.number])
         except CommandError as error:
-            self._failed(thread, place, error.code)
+            self._handle_failure(thread, place, error.code)
             return
-        if isinstance(outcome, Trip):
-            self.hold(thread, outcome)
+        if isinstance(outcome, TripPoint):
+            self.block_thread(thread, outcome)
         elif outcome is not None:
-            self.machine.ports.message(outcome if isinstance(outcome, Raw) else f"{outcome}\r\n")
-        if thread.running and (thread.line == place[0]) and thread.index >= len(self.line(thread.line)):
+            self.machine.ports.send_message(outcome if isinstance(outcome, RawData) else f"{outcome}\r\n")
+        if thread.running and (thread.line == place[0]) and thread.index >= len(self.compiled_line(thread.line)):
             self._next_line(thread)
 
-    def hold(self, thread: Thread, trip: Trip) -> None:
-        """`thread` waits, unless the condition is fulfilled already."""
-        if not trip.passed(self.machine, self.machine.now()):
+    def block_thread(self, thread: ProgramThread, trip: TripPoint) -> None:
+        """Block `thread`, unless the condition is fulfilled already."""
+        if not trip.passed(self.machine, self.machine.current_sample()):
             thread.trip = trip
 
-    def _next_line(self, thread: Thread) -> None:
+    def _next_line(self, thread: ProgramThread) -> None:
         thread.line += 1
         thread.index = 0
         thread.passed_break = False
@@ -293,23 +299,23 @@ class Interpreter:
                 thread.paused = True
                 self.break_hit, self.break_at = True, (thread.line, thread.number)
 
-    def jump(self, thread: Thread, line: int) -> None:
-        """Go on at `line`; an instant interpreter makes a thread that loops without waiting rest a while."""
+    def jump_to(self, thread: ProgramThread, line: int) -> None:
+        """Continue at `line`; an instant interpreter delays a thread that loops without waiting."""
         backward = line <= thread.line
         thread.line, thread.index, thread.passed_break = line, 0, False
         if backward:
-            self.tire(thread)
+            self.count_loop(thread)
 
-    def tire(self, thread: Thread) -> None:
+    def count_loop(self, thread: ProgramThread) -> None:
         """Count a loop of `thread` in this sample."""
-        now = self.machine.now()
+        now = self.machine.current_sample()
         if thread.spin_sample != now:
             thread.spin_sample, thread.spins = now, 0
         thread.spins += 1
         if thread.spins > _LOOPS_PER_SAMPLE and thread.trip is None and self.machine.instant_programs:
             thread.trip, thread.resting = at_sample(now + 1), True
 
-    def _breaks(self, thread: Thread) -> bool:
+    def _reaches_break(self, thread: ProgramThread) -> bool:
         if self.break_at == (thread.line, thread.number) and not self.break_hit and not thread.passed_break:
             self.break_hit = True
             self.break_thread = thread.number
@@ -317,45 +323,45 @@ class Interpreter:
             return True
         return False
 
-    def _failed(self, thread: Thread, place: tuple[int, int], code: int) -> None:
+    def _handle_failure(self, thread: ProgramThread, place: tuple[int, int], code: int) -> None:
         machine = self.machine
-        machine.fail(code)
+        machine.refuse_command(code)
         self.error_line, self.error_thread, self.error_index = place[0], thread.number, place[1]
         main = self.threads[0]
         handler = machine.program.labels.get("CMDERR")
         if handler is not None and main.running:
             if thread is not main:
-                thread.halt()
+                thread.halt_thread()
             try:
-                main.call(handler, event="CMDERR")
-                self.tire(main)
+                main.call_subroutine(handler, event="CMDERR")
+                self.count_loop(main)
                 return
             except CommandError as overflow:
-                machine.fail(overflow.code)
+                machine.refuse_command(overflow.code)
                 thread = main
-        thread.halt()
-        machine.ports.message(f"?{place[0]:03d} {machine.program.lines[place[0]]}\r\n")
+        thread.halt_thread()
+        machine.ports.send_message(f"?{place[0]:03d} {machine.program.lines[place[0]]}\r\n")
 
     def raise_event(self, name: str) -> bool:
-        """Jump thread 0 to an automatic routine; False when there is none, or it cannot run (L15487)."""
+        """Jump thread 0 to an automatic routine; return False when there is none, or it cannot run (L15487)."""
         main = self.threads[0]
         label = self.machine.program.labels.get(name)
         if label is None or not main.running or any(frame.event == name for frame in main.stack):
             return False
         try:
-            main.call(label, event=name)
+            main.call_subroutine(label, event=name)
         except CommandError as error:
-            self.machine.fail(error.code)
+            self.machine.refuse_command(error.code)
             return False
-        self.tire(main)
+        self.count_loop(main)
         return True
 
-    def skip_block(self, thread: Thread, *, to_else: bool) -> None:
-        """Go on behind the ELSE or ENDIF of the block that `thread` is in (L15338)."""
+    def skip_block(self, thread: ProgramThread, *, to_else: bool) -> None:
+        """Continue after the ELSE or ENDIF of the block that contains `thread` (L15338)."""
         depth = 0
         line, index = thread.line, thread.index
         while line < len(self.machine.program.lines):
-            for number, statement in enumerate(self.line(line)):
+            for number, statement in enumerate(self.compiled_line(line)):
                 if number < index:
                     continue
                 if statement.op == "IF":
@@ -363,7 +369,7 @@ class Interpreter:
                 elif statement.op == "ENDIF" or (statement.op == "ELSE" and to_else and depth == 0):
                     if depth == 0:
                         thread.line, thread.index = line, number + 1
-                        if thread.index >= len(self.line(line)):
+                        if thread.index >= len(self.compiled_line(line)):
                             thread.line, thread.index = line + 1, 0
                         return
                     depth -= 1

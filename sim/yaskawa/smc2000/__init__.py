@@ -1,1 +1,1 @@
-"""What the SMC-2000 has of its own."""
+"""Parts that only the SMC-2000 has."""

@@ -1,99 +1,101 @@
-"""Motion commands that the SMC-2000 has otherwise: targets, VM, AD, MC, AL, CN, absolute encoders (L6754-L12820)."""
+"""Motion commands that differ in the SMC-2000: targets, VM, AD, MC, AL, CN, absolute encoders (L6754-L12820)."""
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.base.formats import Format
-from sim.yaskawa.commands.motion import chosen, distance, flag_query, increment
-from sim.yaskawa.commands.parameters import arm, form_command, parameter_writer
-from sim.yaskawa.commands.sequence import tangent, vector_mode
-from sim.yaskawa.commands.status import encoder, error, tell, volts
-from sim.yaskawa.commands.trip import enter_place, travelled
-from sim.yaskawa.language.arguments import LETTERS, parse_axes, parse_fields, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.registry import SMC2000_COMMANDS, Outcome, Runner, command
-from sim.yaskawa.motion.axis import Axis
+from sim.yaskawa.base.formats import NumberFormat
+from sim.yaskawa.commands.motion import chosen_axes, compile_flag_query, increment_target, move_distance
+from sim.yaskawa.commands.parameters import arm_axis, parameter_writer, register_form
+from sim.yaskawa.commands.sequence import compile_tangent, compile_vector_mode
+from sim.yaskawa.commands.status import encoder_position, position_error, register_report, torque_volts
+from sim.yaskawa.commands.trip import register_place_trip, trip_travelled
+from sim.yaskawa.language.arguments import LETTERS, compile_values, parse_axes, parse_fields
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.registry import SMC2000_COMMANDS, Outcome, Runner, register_command
+from sim.yaskawa.motion.axis import ServoAxis
 from sim.yaskawa.motion.trippoints import motion_complete
 
-_INCREMENT = Format(7, 0)
+_INCREMENT = NumberFormat(7, 0)
 _NO_POSITION = -2147483648
 _POLARITIES = 3
 
 
-def destination(c: Context, axis: Axis) -> int:
-    """`PA ?`, `_PA`: where the move goes, at rest where the command stands (L10760)."""
+def move_destination(c: CommandContext, axis: ServoAxis) -> int:
+    """`PA ?`, `_PA`: the target of the move, at rest the commanded position (L10760)."""
     if axis.mode == "move":
-        return fixed.rounded(axis.target)
-    return axis.reported(axis.reference(c.machine.now()))
+        return fixed.round_half_up(axis.target)
+    return axis.report_counts(axis.reference_at(c.machine.current_sample()))
 
 
-def _show_destination(c: Context, axis: Axis) -> str:
-    return c.machine.show_counts(destination(c, axis))
+def _show_destination(c: CommandContext, axis: ServoAxis) -> str:
+    return c.machine.format_counts(move_destination(c, axis))
 
 
-def _show_distance(c: Context, axis: Axis) -> str:
-    return c.machine.show_counts(distance(c, axis))
+def _show_distance(c: CommandContext, axis: ServoAxis) -> str:
+    return c.machine.format_counts(move_distance(c, axis))
 
 
-def _show_position(c: Context, axis: Axis) -> str:
-    return _INCREMENT.write(fixed.whole(encoder(c, axis)), c.machine.layout)
+def _show_position(c: CommandContext, axis: ServoAxis) -> str:
+    return _INCREMENT.format_value(fixed.from_integer(encoder_position(c, axis)), c.machine.layout)
 
 
-form_command("PA", _show_destination, parameter_writer("PA", None, arm), SMC2000_COMMANDS)
-form_command("PR", _show_distance, parameter_writer("PR", None, arm), SMC2000_COMMANDS)
-form_command("IP", _show_position, increment, SMC2000_COMMANDS)
+register_form("PA", _show_destination, parameter_writer("PA", None, arm_axis), SMC2000_COMMANDS)
+register_form("PR", _show_distance, parameter_writer("PR", None, arm_axis), SMC2000_COMMANDS)
+register_form("IP", _show_position, increment_target, SMC2000_COMMANDS)
 
 
-@command("VM", table=SMC2000_COMMANDS)
-def _vector_mode(text: str) -> Runner:
-    """Commas between the letters are optional; `VM ?` tells the free segments (L12440)."""
+@register_command("VM", table=SMC2000_COMMANDS)
+def _compile_vector_mode(text: str) -> Runner:
+    """Commas between the letters are optional; `VM ?` reports the free segments (L12440)."""
     if text == "?":
-        return lambda c: c.machine.show("VM", fixed.whole(c.machine.motion.systems["S"].free(c.machine.now())))
-    return vector_mode(text.replace(",", ""))
+        return lambda c: c.machine.format_answer(
+            "VM", fixed.from_integer(c.machine.motion.systems["S"].free_entries(c.machine.current_sample()))
+        )
+    return compile_vector_mode(text.replace(",", ""))
 
 
-def _after_distance(axis: Axis, c: Context, place: int) -> Outcome:
-    return travelled(axis, c, abs(place))
+def _after_distance(axis: ServoAxis, c: CommandContext, place: int) -> Outcome:
+    return trip_travelled(axis, c, abs(place))
 
 
-enter_place("AD", _after_distance, _NO_POSITION, SMC2000_COMMANDS)
+register_place_trip("AD", _after_distance, _NO_POSITION, SMC2000_COMMANDS)
 
 
-@command("MC", table=SMC2000_COMMANDS)
-def _motion_complete(text: str) -> Runner:
-    """Takes S for the axes of the sequence (L10277)."""
+@register_command("MC", table=SMC2000_COMMANDS)
+def _compile_motion_complete(text: str) -> Runner:
+    """MC: accepts S for the axes of the sequence (L10277)."""
     names = parse_axes(text, LETTERS + "S")
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
-        axes = [c.machine.axis(name) for name in names if name != "S"] or ([] if names else list(motion.real))
+        axes = [c.machine.find_axis(name) for name in names if name != "S"] or ([] if names else list(motion.real))
         if "S" in names:
-            axes += motion.coordinated.members(motion.systems["S"])
-        return motion_complete(axes, c.machine.now())
+            axes += motion.coordinated.member_axes(motion.systems["S"])
+        return motion_complete(axes, c.machine.current_sample())
 
-    return run
+    return run_command
 
 
-@command("AL", table=SMC2000_COMMANDS)
-def _arm_latch(text: str) -> Runner:
+@register_command("AL", table=SMC2000_COMMANDS)
+def _compile_arm_latch(text: str) -> Runner:
     if "?" in text:
-        return flag_query(text, lambda axis: axis.latch_armed)
+        return compile_flag_query(text, lambda axis: axis.latch_armed)
     names = parse_axes(text)
 
-    def run(c: Context) -> Outcome:
-        for axis in chosen(c, names):
+    def run_command(c: CommandContext) -> Outcome:
+        for axis in chosen_axes(c, names):
             axis.latch_armed = True
         return None
 
-    return run
+    return run_command
 
 
-@command("CN", table=SMC2000_COMMANDS)
-def _configure(text: str) -> Runner:
-    """Polarity of limit switches, home switches and latch inputs (L7889)."""
-    fields = values(parse_fields(text, _POLARITIES))
+@register_command("CN", table=SMC2000_COMMANDS)
+def _compile_configure(text: str) -> Runner:
+    """Set the polarity of limit switches, home switches and latch inputs (L7889)."""
+    fields = compile_values(parse_fields(text, _POLARITIES))
 
-    def run(c: Context) -> Outcome:
-        given = [None if raw is None else fixed.truncated(raw) for raw in fields(c)]
+    def run_command(c: CommandContext) -> Outcome:
+        given = [None if raw is None else fixed.to_integer(raw) for raw in fields(c)]
         if any(value not in (None, 1, -1) for value in given):
             raise CommandError(6)
         for index, value in enumerate(given):
@@ -102,16 +104,16 @@ def _configure(text: str) -> Runner:
         c.machine.motion.homing.polarity = c.machine.polarity[1]
         return None
 
-    return run
+    return run_command
 
 
-@command("TN", table=SMC2000_COMMANDS)
-def _tangent(text: str) -> Runner:
-    """`TN ?` tells where the tangent axis begins, as `_TN` does (L12030)."""
+@register_command("TN", table=SMC2000_COMMANDS)
+def _compile_tangent(text: str) -> Runner:
+    """`TN ?` reports the start of the tangent axis, as `_TN` does (L12030)."""
     if text == "?":
-        return lambda c: c.machine.show("TN", c.machine.model.operand("_TN")(c))
-    return tangent(text)
+        return lambda c: c.machine.format_answer("TN", c.machine.model.compile_operand("_TN")(c))
+    return compile_tangent(text)
 
 
-tell("TE", error, table=SMC2000_COMMANDS, asked=False)  # L11850
-tell("TT", volts, Format(1, 4), table=SMC2000_COMMANDS, asked=False)  # L12179
+register_report("TE", position_error, table=SMC2000_COMMANDS, queryable=False)  # L11850
+register_report("TT", torque_volts, NumberFormat(1, 4), table=SMC2000_COMMANDS, queryable=False)  # L12179

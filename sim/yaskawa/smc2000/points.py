@@ -2,39 +2,46 @@
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.status import report
-from sim.yaskawa.language.arguments import parse_fields, split, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import Evaluator, integer
-from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS, Outcome, Runner, command, operand
+from sim.yaskawa.commands.status import report_text
+from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import Evaluator, compile_integer
+from sim.yaskawa.language.registry import (
+    SMC2000_COMMANDS,
+    SMC2000_OPERANDS,
+    Outcome,
+    Runner,
+    register_command,
+    register_operand,
+)
 
 _WORD = 16
 _BANKS = 4
 _INTERRUPTS = 8
 
 
-def _word(c: Context, bank: int) -> int:
+def _output_word(c: CommandContext, bank: int) -> int:
     return c.machine.io.outputs >> (bank * _WORD) & 0xFFFF
 
 
-def _show_word(c: Context, bank: int) -> str:
-    return c.machine.show_whole(_word(c, bank), 3 if _word(c, bank) < 1000 else 5)
+def _format_word(c: CommandContext, bank: int) -> str:
+    return c.machine.format_integer(_output_word(c, bank), 3 if _output_word(c, bank) < 1000 else 5)
 
 
-@command("OP", table=SMC2000_COMMANDS)
-def _output_port(text: str) -> Runner:
+@register_command("OP", table=SMC2000_COMMANDS)
+def _compile_output_port(text: str) -> Runner:
     """Outputs in words of 16; the first is a byte but on eight axes (L10693)."""
     if "?" in text:
-        asked = [bank for bank, mark in enumerate(split(text)) if mark == "?"]
-        return lambda c: ",".join(_show_word(c, bank) for bank in asked)
-    fields = values(parse_fields(text, _BANKS))
+        queried = [bank for bank, mark in enumerate(split_fields(text)) if mark == "?"]
+        return lambda c: ",".join(_format_word(c, bank) for bank in queried)
+    fields = compile_values(parse_fields(text, _BANKS))
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         outputs = c.machine.io.outputs
         for bank, raw in enumerate(fields(c)):
             if raw is None:
                 continue
-            word = fixed.truncated(raw)
+            word = fixed.to_integer(raw)
             highest = (0xFF, 0xFFFF)[len(c.machine.letters) > _INTERRUPTS // 2] if bank == 0 else 0xFFFF
             if not 0 <= word <= highest or bank * _WORD >= c.machine.io.count:
                 raise CommandError(6)
@@ -42,42 +49,42 @@ def _output_port(text: str) -> Runner:
         c.machine.io.set_all(outputs)
         return None
 
-    return run
+    return run_command
 
 
-@operand("OP", table=SMC2000_OPERANDS)
-def _read_outputs(suffix: str) -> Evaluator:
+@register_operand("OP", table=SMC2000_OPERANDS)
+def _compile_read_outputs(suffix: str) -> Evaluator:
     if suffix not in ("", "0", "1", "2", "3"):
         raise CommandError(58)
-    return lambda c: fixed.whole(_word(c, int(suffix or "0")))
+    return lambda c: fixed.from_integer(_output_word(c, int(suffix or "0")))
 
 
-def _inputs(c: Context, bank: int) -> int:
-    if not 0 <= bank < len(c.machine.world.inputs) // 8:
+def _input_word(c: CommandContext, bank: int) -> int:
+    if not 0 <= bank < len(c.machine.environment.inputs) // 8:
         raise CommandError(6)
     return c.machine.io.input_byte(bank)
 
 
-@command("TI", table=SMC2000_COMMANDS)
-def _tell_inputs(text: str) -> Runner:
-    bank = integer(text) if text not in ("", "?") else None
-    return lambda c: report(c, c.machine.show_whole(_inputs(c, bank(c) if bank is not None else 0), 3))
+@register_command("TI", table=SMC2000_COMMANDS)
+def _compile_tell_inputs(text: str) -> Runner:
+    bank = compile_integer(text) if text not in ("", "?") else None
+    return lambda c: report_text(c, c.machine.format_integer(_input_word(c, bank(c) if bank is not None else 0), 3))
 
 
-@operand("TI", table=SMC2000_OPERANDS)
-def _read_inputs(suffix: str) -> Evaluator:
+@register_operand("TI", table=SMC2000_OPERANDS)
+def _compile_read_inputs(suffix: str) -> Evaluator:
     if len(suffix) > 1 or suffix not in "01234567":
         raise CommandError(58)
-    return lambda c: fixed.whole(_inputs(c, int(suffix or "0")))
+    return lambda c: fixed.from_integer(_input_word(c, int(suffix or "0")))
 
 
-@command("II", where="program", table=SMC2000_COMMANDS)
-def _input_interrupt(text: str) -> Runner:
+@register_command("II", where="program", table=SMC2000_COMMANDS)
+def _compile_input_interrupt(text: str) -> Runner:
     """First and last input, or a mask of the eight; negative ones interrupt when high, firmware 19K and up (L9266)."""
-    fields = values(parse_fields(text, 3))
+    fields = compile_values(parse_fields(text, 3))
 
-    def run(c: Context) -> Outcome:
-        given = [0 if raw is None else fixed.truncated(raw) for raw in [*fields(c), None, None]]
+    def run_command(c: CommandContext) -> Outcome:
+        given = [0 if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
         first, last, mask = given[:3]
         interpreter = c.machine.interpreter
         if min(given) < 0 and not c.machine.options.own_modulus:
@@ -95,4 +102,4 @@ def _input_interrupt(text: str) -> Runner:
         interpreter.interrupts_on = selected != 0
         return None
 
-    return run
+    return run_command

@@ -2,97 +2,97 @@
 
 from sim.yaskawa.base import fixed
 from sim.yaskawa.base.errors import CommandError
-from sim.yaskawa.commands.data import array_name, listing, span
-from sim.yaskawa.commands.status import general, report, tell_code
-from sim.yaskawa.commands.system import mark_messages
-from sim.yaskawa.language.arguments import parse_fields, split, values
-from sim.yaskawa.language.context import Context
-from sim.yaskawa.language.expressions import integer
-from sim.yaskawa.language.registry import SMC2000_COMMANDS, Outcome, Runner, bare, command
-from sim.yaskawa.language.statements import Raw
+from sim.yaskawa.commands.data import array_name, element_span, register_listing
+from sim.yaskawa.commands.status import compile_tell_code, general_status, report_text
+from sim.yaskawa.commands.system import compile_mark_messages
+from sim.yaskawa.language.arguments import compile_values, parse_fields, split_fields
+from sim.yaskawa.language.context import CommandContext
+from sim.yaskawa.language.expressions import compile_integer
+from sim.yaskawa.language.registry import SMC2000_COMMANDS, Outcome, Runner, register_command, require_bare
+from sim.yaskawa.language.statements import RawData
 from sim.yaskawa.ports.ports import END_OF_TEXT
 
 RESET, PARAMETERS, CLEAR = 0, 1, 2
 
 
-def _arrays(c: Context) -> list[str]:
+def _array_lines(c: CommandContext) -> list[str]:
     arrays = c.machine.data.arrays
     return [f"{name}[{len(arrays[name])}]" for name in sorted(arrays)]
 
 
-listing("LA", _arrays, SMC2000_COMMANDS)
-listing("LL", lambda c: [f"#{label}" for label in sorted(c.machine.program.labels)], SMC2000_COMMANDS)
+register_listing("LA", _array_lines, SMC2000_COMMANDS)
+register_listing("LL", lambda c: [f"#{label}" for label in sorted(c.machine.program.labels)], SMC2000_COMMANDS)
 
 
-@command("QU", table=SMC2000_COMMANDS)
-def _upload_array(text: str) -> Runner:
+@register_command("QU", table=SMC2000_COMMANDS)
+def _compile_upload_array(text: str) -> Runner:
     """Elements in the variable format, separated and not ended by comma or carriage return, then ctrl-Z (D37)."""
-    name_text, *rest = split(text)
+    name_text, *rest = split_fields(text)
     name = array_name(name_text)
-    fields = values(parse_fields(",".join(rest), 3))
+    fields = compile_values(parse_fields(",".join(rest), 3))
 
-    def run(c: Context) -> Outcome:
-        array = c.machine.data.array(name)
+    def run_command(c: CommandContext) -> Outcome:
+        array = c.machine.data.get_array(name)
         given = [*fields(c), None, None]
-        first, last = span(c, len(array), given)
-        separator = "," if given[2] is not None and fixed.truncated(given[2]) == 1 else "\r"
-        written = separator.join(c.machine.show_value(raw) for raw in array[first : last + 1]) + END_OF_TEXT
+        first, last = element_span(c, len(array), given)
+        separator = "," if given[2] is not None and fixed.to_integer(given[2]) == 1 else "\r"
+        written = separator.join(c.machine.format_variable(raw) for raw in array[first : last + 1]) + END_OF_TEXT
         if c.port is None:
-            c.machine.ports.message(written)
+            c.machine.ports.send_message(written)
             return None
-        return Raw(written)
+        return RawData(written)
 
-    return run
-
-
-@command("CW", table=SMC2000_COMMANDS)
-def _mark_messages(text: str) -> Runner:
-    """`CW ?` tells the copyright, too (L8074)."""
-    return mark_messages("0" if text == "?" else text)
+    return run_command
 
 
-@command("TC", table=SMC2000_COMMANDS)
-def _tell_code(text: str) -> Runner:
-    """`TC1{N}` leaves the end of the line to the next message, as the manual's programs have it (L13229)."""
-    told = tell_code(text.removesuffix("{N}"))
+@register_command("CW", table=SMC2000_COMMANDS)
+def _compile_mark_messages(text: str) -> Runner:
+    """`CW ?` reports the copyright, too (L8074)."""
+    return compile_mark_messages("0" if text == "?" else text)
+
+
+@register_command("TC", table=SMC2000_COMMANDS)
+def _compile_tell_code(text: str) -> Runner:
+    """`TC1{N}` leaves the end of the line to the next message, as the manual's programs use it (L13229)."""
+    reported = compile_tell_code(text.removesuffix("{N}"))
     if not text.endswith("{N}"):
-        return told
+        return reported
 
-    def run(c: Context) -> Outcome:
-        written = told(Context(c.machine, None, c.port))
+    def run_command(c: CommandContext) -> Outcome:
+        written = reported(CommandContext(c.machine, None, c.port))
         if not isinstance(written, str):
             return None
         if c.thread is None:
-            return Raw(written)
-        c.machine.ports.message(written)
+            return RawData(written)
+        c.machine.ports.send_message(written)
         return None
 
-    return run
+    return run_command
 
 
-@command("TB", table=SMC2000_COMMANDS)
-def _tell_status(text: str) -> Runner:
-    """Printed as short as it is (L11675)."""
-    bare(text.removeprefix("?"))
-    return lambda c: report(c, c.machine.show_whole(general(c), len(str(general(c)))))
+@register_command("TB", table=SMC2000_COMMANDS)
+def _compile_tell_status(text: str) -> Runner:
+    """Report the status without padding (L11675)."""
+    require_bare(text.removeprefix("?"))
+    return lambda c: report_text(c, c.machine.format_integer(general_status(c), len(str(general_status(c)))))
 
 
-@command("RS", where="line", table=SMC2000_COMMANDS)
-def _reset(text: str) -> Runner:
-    """`RS` resets, `RS1` restores what BN has kept, `RS2` clears the program (L11364)."""
-    value = integer(text) if text else None
+@register_command("RS", where="line", table=SMC2000_COMMANDS)
+def _compile_reset(text: str) -> Runner:
+    """`RS` resets, `RS1` restores the burned parameters, `RS2` clears the program (L11364)."""
+    value = compile_integer(text) if text else None
 
-    def run(c: Context) -> Outcome:
+    def run_command(c: CommandContext) -> Outcome:
         what = value(c) if value is not None else RESET
         if what not in (RESET, PARAMETERS, CLEAR):
             raise CommandError(6)
         if what == RESET:
-            c.machine.reset()
+            c.machine.reset_controller()
         elif what == PARAMETERS:
             c.machine.memory.restore_parameters()
         else:
             c.machine.interpreter.halt_all()
-            c.machine.program.clear()
+            c.machine.program.clear_lines()
         return None
 
-    return run
+    return run_command

@@ -3,18 +3,18 @@
 from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import Clock
-from sim.core.controller import Branch, SimulatedController, Timing, VectorBench
+from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController, VectorBench
 from sim.core.oscillator import Oscillator
 from sim.yaskawa.base import errors
-from sim.yaskawa.base.data import Room
-from sim.yaskawa.base.formats import Format
-from sim.yaskawa.base.model import Burning, Figures, Model
+from sim.yaskawa.base.data import MemoryCapacity
+from sim.yaskawa.base.formats import NumberFormat
+from sim.yaskawa.base.model import BurnTimes, ControllerModel, MotionFigures
 from sim.yaskawa.base.options import HOP_NS, ChainOptions, Smc2000Options
-from sim.yaskawa.controller import Bench, Controller
+from sim.yaskawa.controller import YaskawaBench, YaskawaController
 from sim.yaskawa.language.dialect import COMMANDS, OPERANDS
 from sim.yaskawa.language.expressions import FUNCTIONS
 from sim.yaskawa.language.registry import SMC2000_COMMANDS, SMC2000_OPERANDS
-from sim.yaskawa.machine import Machine
+from sim.yaskawa.machine import ControllerCore
 from sim.yaskawa.ports.serial_ports import CommandPort, GeneralPort
 from sim.yaskawa.smc2000 import cam as smc2000_cam
 from sim.yaskawa.smc2000 import motion as smc2000_motion
@@ -22,7 +22,7 @@ from sim.yaskawa.smc2000 import operands as smc2000_operands
 from sim.yaskawa.smc2000 import points as smc2000_points
 from sim.yaskawa.smc2000 import program as smc2000_program
 from sim.yaskawa.smc2000 import serial as smc2000_serial
-from sim.yaskawa.smc2000.chain import Chain, ChainBench
+from sim.yaskawa.smc2000.chain import ChainBench, DaisyChain
 from sim.yaskawa.smc2000.parameters import SMC2000 as PARAMETERS
 
 OWN_MODULES = (
@@ -34,11 +34,11 @@ OWN_MODULES = (
     smc2000_serial,
 )
 DECODE_NS = 500_000
-"""The firmware's time for a command (L1000); what `Timing.decode_ns` is on a real unit."""
+"""The firmware's time for a command (L1000); the value of `FirmwareTiming.decode_ns` on real hardware."""
 EXTERNAL = -1
-"""`TM` of a unit that takes its samples from the wire (L976)."""
+"""`TM` of a controller that takes its samples from the wire (L976)."""
 LOCK_SETTING = 2
-"""Level of LC at which a port may only ask and stop (L9879)."""
+"""Level of LC at which a port may only query and stop (L9879)."""
 
 _SHARED = frozenset(
     """
@@ -58,16 +58,16 @@ _ASKING = frozenset(
     "AB HX LA LC LL LV MG NO QU RL RP SC ST TB TC TD TE TI TP TS TT TV TY".split()  # noqa: SIM905
 )
 _LEAST_PERIOD = {1: 250, 2: 375, 4: 500, 8: 875}
-"""By the number of axes, microseconds (L13934)."""
+"""Shortest period by the number of axes, microseconds (L13934)."""
 
 
-def _locks(level: int, op: str, lock: str, text: str) -> bool:
+def _is_locked(level: int, op: str, lock: str, text: str) -> bool:
     if "1" in lock:
         return True
     return level == LOCK_SETTING and op not in _ASKING and not text.endswith(("?", "="))
 
 
-MODEL = Model(
+MODEL = ControllerModel(
     name="smc2000",
     revision="SMC-2000-{options.axes} Rev {options.firmware}",
     ports=("serial", "serial2"),
@@ -77,7 +77,7 @@ MODEL = Model(
     functions=frozenset(FUNCTIONS) - {"@ATAN", "@TAN"},
     texts=errors.SMC2000,
     letters="XYZWEFGH",
-    figures=Figures(
+    figures=MotionFigures(
         fastest=(8_000_000, 8_000_000),
         vector=(8192, 262144, 262144),
         home_speed=256,
@@ -90,16 +90,16 @@ MODEL = Model(
         stepper_fastest=2_000_000,
         default_plane=True,
     ),
-    room=Room(lines=1000, labels=254, variables=254, elements=8000, zero_frees=True),
+    room=MemoryCapacity(lines=1000, labels=254, variables=254, elements=8000, zero_frees=True),
     threads=4,
     time_bases=lambda axes: (_LEAST_PERIOD[axes], 20000, 125),
-    burning=Burning({"BN": 1, "BP": 10, "BV": 2}, at_rest=frozenset(("BN", "BP"))),
-    locks=_locks,
+    burning=BurnTimes({"BN": 1, "BP": 10, "BV": 2}, at_rest=frozenset(("BN", "BP"))),
+    locks=_is_locked,
     lock_levels=2,
     password="00000000",
     serial_port=CommandPort,
     second_port=GeneralPort,
-    by_line=False,
+    by_trigger_line=False,
     spaced_names=False,
     comment_end=";",
     running_bit=6,
@@ -111,14 +111,14 @@ MODEL = Model(
         "AC AF BL CE DC DV EM ER FA FL FV GR IL IT KD KI KP MT OE OF SP TL".split()  # noqa: SIM905
     ),
     formats={
-        "CM": Format(1, 0),
-        "LC": Format(8, 0),
-        "PF": Format(2, 1),
-        "VF": Format(2, 1),
+        "CM": NumberFormat(1, 0),
+        "LC": NumberFormat(8, 0),
+        "PF": NumberFormat(2, 1),
+        "VF": NumberFormat(2, 1),
         "VA": None,
         "VD": None,
         "VS": None,
-        "VT": Format(1, 4),
+        "VT": NumberFormat(1, 4),
     },
     factory_echo=True,
     external_clock=True,
@@ -127,80 +127,82 @@ MODEL = Model(
 
 
 class Smc2000Simulator:
-    """Builds simulated SMC-2000 controllers, alone or in a daisy chain; fulfils `Simulator`."""
+    """Builds simulated SMC-2000 controllers, alone or in a daisy chain; implements `Simulator`."""
 
     @property
     def model(self) -> str:
         return MODEL.name
 
-    def build(
+    def build_controller(
         self,
         clock: Clock,
         options: Mapping[str, object],
         *,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> SimulatedController:
-        """A powered-up controller. Options are the fields of `Smc2000Options`, or of `ChainOptions` when `chain` is
-        among them; `ValueError` names a wrong one.
+        """Build a powered-up controller. Options are the fields of `Smc2000Options`, or of `ChainOptions` when
+        `chain` is among them; `ValueError` names a wrong one.
         """
         if "chain" in options:
-            return self.chain(clock, options, oscillator, timing, seed)
-        return self.alone(clock, options, oscillator, timing, seed)
+            return self.build_chain(clock, options, oscillator, timing, seed)
+        return self.build_single(clock, options, oscillator, timing, seed)
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> VectorBench:
-        """The same, ideal in time, with the handles that test vectors need."""
+        """Build the same controller, ideal in time, with the handles that test vectors need."""
         if "chain" in options:
-            return ChainBench(self.chain(clock, {"hop_ns": 0} | dict(options)))
-        return Bench(self.alone(clock, options))
+            return ChainBench(self.build_chain(clock, {"hop_ns": 0} | dict(options)))
+        return YaskawaBench(self.build_single(clock, options))
 
-    def build_shared(self, clock: Clock, units: Sequence[Branch]) -> tuple[Chain, Sequence[Controller]]:
-        """A daisy chain, its units in their order from the host; port 2 of each is set up for it."""
+    def build_shared(
+        self, clock: Clock, devices: Sequence[DeviceSpec]
+    ) -> tuple[DaisyChain, Sequence[YaskawaController]]:
+        """Build a daisy chain, its controllers in their order from the host; port 2 of each is set up for it."""
         built = [
-            self.alone(
+            self.build_single(
                 clock,
                 dict(unit.options) | {"address": unit.address, "chained": True},
                 unit.oscillator,
                 unit.timing,
                 unit.seed,
             )
-            for unit in units
+            for unit in devices
         ]
-        return Chain(clock, built, HOP_NS), built
+        return DaisyChain(clock, built, HOP_NS), built
 
     @staticmethod
-    def alone(
+    def build_single(
         clock: Clock,
         options: Mapping[str, object],
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
-    ) -> Controller:
-        """One controller."""
+    ) -> YaskawaController:
+        """Build one controller."""
         chosen = Smc2000Options.model_validate(dict(options))
-        machine = Machine(clock, MODEL, chosen, oscillator or Oscillator(), timing or Timing(), seed)
-        machine.go_on()
-        return Controller(machine, MODEL.ports)
+        machine = ControllerCore(clock, MODEL, chosen, oscillator or Oscillator(), timing or FirmwareTiming(), seed)
+        machine.run_ready()
+        return YaskawaController(machine, MODEL.ports)
 
-    def chain(
+    def build_chain(
         self,
         clock: Clock,
         options: Mapping[str, object],
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
-    ) -> Chain:
-        """A daisy chain; each unit has a crystal of its own, all of the kind of `oscillator`."""
+    ) -> DaisyChain:
+        """Build a daisy chain; each controller has a crystal of its own, all of the kind of `oscillator`."""
         chosen = ChainOptions.model_validate(dict(options))
         crystal = oscillator or Oscillator()
-        units: list[Controller] = []
+        units: list[YaskawaController] = []
         for place, unit in enumerate(chosen.chain):
             own = chosen.options | {"axes": unit.axes, "address": unit.address, "echo": chosen.echo, "chained": True}
             drift_ppm = crystal.drift_ppm if unit.drift_ppm is None else unit.drift_ppm
             other = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + place)
-            units.append(self.alone(clock, own, other, timing, seed + place))
-        chain = Chain(clock, units, chosen.hop_ns)
+            units.append(self.build_single(clock, own, other, timing, seed + place))
+        chain = DaisyChain(clock, units, chosen.hop_ns)
         if chosen.shared_clock:
             chain.share_clock()
         for unit, controller in zip(chosen.chain, units, strict=True):

@@ -7,19 +7,19 @@ from random import Random
 from typing import Any
 
 from adapters.cia402 import MAKE
-from adapters.cia402.driver import CiaDriver
-from adapters.contract import Lowered, Setup
-from adapters.toolkit.firing import LoopFirer
+from adapters.cia402.driver import Cia402Driver
+from adapters.contract import DriverSetup, Lowered
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_until_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.can import CanFrame
 from orchestrator.link.memory import MemoryWire, can_wire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.cia402 import CIA402
-from sim.core.controller import Branch, Timing
+from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 
 VELOCITY, ACCELERATION = 80_000.0, 400_000.0
@@ -30,7 +30,7 @@ def config(node: int, options: Mapping[str, Any] | None = None, **axis: Any) -> 
     return Controller.model_validate(
         {
             "adapter": "cia402",
-            "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "unit": node},
+            "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": node},
             "options": dict(options or {}),
             "axes": {
                 "a": {
@@ -55,7 +55,7 @@ class Drives:
     clock: Clock
     bus: Any
     units: list[Any]
-    drivers: list[CiaDriver]
+    drivers: list[Cia402Driver]
     wire: MemoryWire
     shared: dict[str, Any]
     frames: list[tuple[int, CanFrame]] = field(default_factory=list[tuple[int, CanFrame]])
@@ -63,7 +63,7 @@ class Drives:
     """How much later than usual what is due now is written."""
 
     @property
-    def driver(self) -> CiaDriver:
+    def driver(self) -> Cia402Driver:
         return self.drivers[0]
 
     @property
@@ -74,7 +74,7 @@ class Drives:
         for driver in self.drivers:
             await driver.connect()
             await driver.configure()
-            await driver.enable(["a"], True)
+            await driver.set_enabled(["a"], True)
 
     async def until(self, at_ns: int) -> None:
         await sleep_until_ns(self.clock, at_ns)
@@ -85,9 +85,9 @@ class Drives:
     async def arm(self, number: int, target: int, t0_ns: int, begin: int = 0) -> Lowered:
         """Armed and verified."""
         driver = self.drivers[number]
-        lowered = driver.lower(profiles(begin, target), StartWay(), None)
-        await driver.arm(lowered, t0_ns, None)
-        await driver.verify()
+        lowered = driver.lower_profiles(profiles(begin, target), StartOptions(), None)
+        await driver.arm_move(lowered, t0_ns, None)
+        await driver.verify_armed()
         return lowered
 
     async def go(self, target: int = 40_000, after_ms: int = 200) -> int:
@@ -97,11 +97,13 @@ class Drives:
         await self.driver.go()
         return t0_ns
 
-    def fresh(self) -> CiaDriver:
+    def fresh(self) -> Cia402Driver:
         """A driver of the first drive that knows nothing of the others: that of a process that was started anew."""
         its = config(1)
-        firer = LoopFirer(self.clock)
-        return MAKE.driver(Setup("d1", its, MAKE.options.model_validate({}), self.clock, self.wire.open, firer))
+        firer = LoopTimedWriter(self.clock)
+        return MAKE.create_driver(
+            DriverSetup("d1", its, MAKE.options_model.model_validate({}), self.clock, self.wire.open, firer)
+        )
 
     def syncs(self, since_ns: int = 0) -> int:
         """How many SYNCs have been on the bus."""
@@ -119,19 +121,21 @@ def run(
 
     async def within(clock: Clock) -> None:
         branches = [
-            Branch(node, dict(simulate or {}), Oscillator(0, 7.0 * node), Timing(300 * NS_PER_US), node)
+            DeviceSpec(node, dict(simulate or {}), Oscillator(0, 7.0 * node), FirmwareTiming(300 * NS_PER_US), node)
             for node in range(1, count + 1)
         ]
         segment, units = CIA402.build_shared(clock, branches)
         wire = MemoryWire(clock, can_wire(), segment, "can", "can can0", copy_context(), 3)
         draw, shared = Random(5), dict[str, Any]()
-        firer = LoopFirer(clock, lambda: draw.randrange(50 * NS_PER_US) + drives.late_ns(clock.now_ns()))
-        drivers: list[CiaDriver] = []
+        firer = LoopTimedWriter(clock, lambda: draw.randrange(50 * NS_PER_US) + drives.late_ns(clock.now_ns()))
+        drivers: list[Cia402Driver] = []
         for node in range(1, count + 1):
             its = config(node, options, **axis)
-            MAKE.check(its)
-            setup = Setup(f"d{node}", its, MAKE.options.model_validate(its.options), clock, wire.open, firer, shared)
-            drivers.append(MAKE.driver(setup))
+            MAKE.check_config(its)
+            setup = DriverSetup(
+                f"d{node}", its, MAKE.options_model.model_validate(its.options), clock, wire.open, firer, shared
+            )
+            drivers.append(MAKE.create_driver(setup))
         drives = Drives(clock, segment.bus, list(units), drivers, wire, shared)
         segment.bus.watch(lambda frame, begin_ns, end_ns: drives.frames.append((end_ns, frame)))
         try:

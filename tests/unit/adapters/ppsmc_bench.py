@@ -5,24 +5,24 @@ from contextvars import copy_context
 from dataclasses import dataclass
 from typing import Any
 
-from adapters.contract import Outcome, Setup, Span
+from adapters.contract import DriverSetup, HostInterval, MoveOutcome
 from adapters.ppsmc import MAKE
 from adapters.ppsmc.driver import PpSmcDriver
-from adapters.ppsmc.lowering import SmcLowered
-from adapters.toolkit.firing import LoopFirer
+from adapters.ppsmc.lowering import PpSmcLowered
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Motion, Timing
+from sim.core.controller import CommandedMotion, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.ppsmc import PPSMC
-from sim.ppsmc.controller import SmcController
+from sim.ppsmc.controller import PpsmcController
 
 # 5 to 20 ms a command: what the driver's default options allow for.
-TIMING = Timing(decode_ns=5_000_000, spread_ns=15_000_000)
+TIMING = FirmwareTiming(decode_ns=5_000_000, spread_ns=15_000_000)
 NAMES = {"x": "1", "y": "2", "z": "3"}
 SPEED, RAMP = 50_000.0, 200_000.0  # steps/s, steps/s²
 
@@ -51,7 +51,7 @@ def controller(names: str = "xyz", serial: bool = False, options: Mapping[str, A
 class Client:
     """Somebody else who is connected to the unit."""
 
-    def __init__(self, unit: SmcController, port: str = "tcp") -> None:
+    def __init__(self, unit: PpsmcController, port: str = "tcp") -> None:
         self.raw = b""
         self._connection = unit.connect(port, self._take, lambda: None)
 
@@ -65,7 +65,7 @@ class Client:
 @dataclass
 class Bench:
     clock: VirtualClock
-    unit: SmcController
+    unit: PpsmcController
     wire: MemoryWire
     driver: PpSmcDriver
     config: Controller
@@ -94,34 +94,38 @@ class Bench:
         await self.driver.connect()
         await self.driver.configure()
 
-    async def lowered(self, targets: Mapping[str, int], how: StartWay | None = None, factor: float = 1.1) -> SmcLowered:
+    async def lowered(
+        self, targets: Mapping[str, int], how: StartOptions | None = None, factor: float = 1.1
+    ) -> PpSmcLowered:
         reading = await self.driver.poll()
         moves = [AxisMove(n, reading.axes[n].commanded_counts, to, SPEED, RAMP) for n, to in targets.items()]
         if not moves:
-            return self.driver.lower({}, how or StartWay(), None)
+            return self.driver.lower_profiles({}, how or StartOptions(), None)
         plan = plan_step(moves)
-        return self.driver.lower(plan.stretched(plan.duration_s * factor).profiles, how or StartWay(), None)
+        return self.driver.lower_profiles(
+            plan.stretched(plan.duration_s * factor).profiles, how or StartOptions(), None
+        )
 
-    async def arm(self, targets: Mapping[str, int], how: StartWay | None = None) -> tuple[int, SmcLowered]:
+    async def arm(self, targets: Mapping[str, int], how: StartOptions | None = None) -> tuple[int, PpSmcLowered]:
         """Plan from where the axes are, arm, and give T0."""
         lowered = await self.lowered(targets, how)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 300 * NS_PER_MS
         began_ns = self.clock.now_ns()
-        await self.driver.arm(lowered, t0_ns, None)
+        await self.driver.arm_move(lowered, t0_ns, None)
         assert self.clock.now_ns() - began_ns <= lowered.costs.arm_ns
         return t0_ns, lowered
 
-    async def start(self, targets: Mapping[str, int], how: StartWay | None = None) -> tuple[int, SmcLowered]:
+    async def start(self, targets: Mapping[str, int], how: StartOptions | None = None) -> tuple[int, PpSmcLowered]:
         found = await self.arm(targets, how)
-        await self.driver.verify()
+        await self.driver.verify_armed()
         await self.driver.go()
         return found
 
-    async def followed(self) -> tuple[Mapping[str, Span], Outcome]:
-        started = await self.driver.started()
-        return started, await self.driver.outcome()
+    async def followed(self) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
+        started = await self.driver.wait_for_start()
+        return started, await self.driver.wait_for_end()
 
-    async def move(self, targets: Mapping[str, int]) -> Outcome:
+    async def move(self, targets: Mapping[str, int]) -> MoveOutcome:
         await self.start(targets)
         return (await self.followed())[1]
 
@@ -130,7 +134,7 @@ class Bench:
 
     @property
     def moving(self) -> bool:
-        return any(self.unit.moving(name) for name in self.unit.axes)
+        return any(self.unit.is_moving(name) for name in self.unit.axis_names)
 
     async def rest(self, within_ns: int = 10 * NS_PER_S) -> None:
         until_ns = self.clock.now_ns() + within_ns
@@ -139,10 +143,10 @@ class Bench:
             await sleep_ns(self.clock, NS_PER_MS)
 
     def steps(self, axis: str) -> int:
-        return self.unit.axis(NAMES[axis]).steps
+        return self.unit.find_axis(NAMES[axis]).steps
 
-    def moved(self) -> Sequence[Motion]:
-        return self.unit.motions
+    def moved(self) -> Sequence[CommandedMotion]:
+        return self.unit.commanded_motions
 
 
 Case = Callable[[Bench], Awaitable[None]]
@@ -155,7 +159,7 @@ def run(
     config: Controller | None = None,
     simulate: Mapping[str, Any] | None = None,
     ppm: float = 0.0,
-    timing: Timing = TIMING,
+    timing: FirmwareTiming = TIMING,
     gear: int = 1000,
 ) -> None:
     """Run `case` before a unit of three axes with `gear` steps/mm that have been saved in it."""
@@ -165,16 +169,18 @@ def run(
         serial = fleet.link.kind == "serial"
         options = {"axes": 3, "hardware": ["io_port"], **(simulate or {})}
         oscillator = Oscillator(drift_ppm=ppm, seed=seed)
-        unit = PPSMC.build(clock, options, oscillator=oscillator, timing=timing, seed=seed)
-        assert isinstance(unit, SmcController)
+        unit = PPSMC.build_controller(clock, options, oscillator=oscillator, timing=timing, seed=seed)
+        assert isinstance(unit, PpsmcController)
         for axis in unit.machine.axes:
             axis.settings.gnum = axis.settings.gnum * gear
-        unit.unit.disk.default = [axis.settings.copy() for axis in unit.machine.axes]
+        unit.unit.disk.default = [axis.settings.copy_settings() for axis in unit.machine.axes]
         model = serial_wire(9600) if serial else LAN
         wire = MemoryWire(clock, model, unit, "serial" if serial else "tcp", "unit a", copy_context(), seed)
-        MAKE.check(fleet)
-        setup = Setup("a", fleet, MAKE.options.model_validate(fleet.options), clock, wire.open, LoopFirer(clock))
-        driver = MAKE.driver(setup)
+        MAKE.check_config(fleet)
+        setup = DriverSetup(
+            "a", fleet, MAKE.options_model.model_validate(fleet.options), clock, wire.open, LoopTimedWriter(clock)
+        )
+        driver = MAKE.create_driver(setup)
         assert isinstance(driver, PpSmcDriver)
         try:
             await case(Bench(clock, unit, wire, driver, fleet))

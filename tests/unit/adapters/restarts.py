@@ -2,12 +2,12 @@
 
 import pytest
 
-from adapters.contract import Driver, Restarted
+from adapters.contract import ControllerRestarted, Driver
 
 
 async def sees_the_restart(driver: Driver) -> None:
     """A poll gives the link up at once, and the first one after meeting the controller again tells why, once."""
-    with pytest.raises(Restarted):
+    with pytest.raises(ControllerRestarted):
         await driver.poll()
     await driver.close()
     await driver.connect()

@@ -12,16 +12,17 @@ from unit.adapters.test_cia402_stream import SMOOTH, another, followed, released
 
 from adapters.cia402 import MAKE
 from adapters.cia402.words import ABORTS, abort_text
-from adapters.contract import CannotDo, DriverFault, JogMove, Setup
-from adapters.toolkit.firing import LoopFirer
+from adapters.contract import DriverSetup, JogMove
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame, decode, encode
 from orchestrator.link.memory import MemoryWire, can_wire
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from sim.cia402 import CIA402
-from sim.core.controller import Branch, Timing
+from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 
 ANSWER = 0x581
@@ -47,11 +48,11 @@ def test_every_abort_is_told_in_words() -> None:
         await world.ready()
         for code in (*ABORTS, 0x1234_5678):
             world.wire.to_near = aborting(code, lambda _: True)
-            with pytest.raises(DriverFault) as caught:
-                await world.driver.raw("6081:0/32")
-            assert caught.value.fault.code == "sdo-abort"
-            assert abort_text(code) in caught.value.fault.text
-            assert caught.value.fault.remedy
+            with pytest.raises(ControllerFault) as caught:
+                await world.driver.send_raw("6081:0/32")
+            assert caught.value.code == "sdo-abort"
+            assert abort_text(code) in caught.value.text
+            assert caught.value.remedy
 
     run(main)
 
@@ -67,9 +68,9 @@ def test_an_abort_of_any_access_while_a_drive_is_met_is_said_or_does_no_harm(cod
             try:
                 await world.driver.connect()
                 await world.driver.configure()
-            except DriverFault as error:
+            except ControllerFault as error:
                 said += 1
-                assert error.fault.remedy
+                assert error.remedy
             world.wire.to_near = None
             await world.driver.close()
             await world.rest(20)
@@ -86,16 +87,16 @@ def test_an_abort_of_any_access_while_arming_is_said_and_nothing_moves(streamed:
     async def main(world: Drives) -> None:
         await world.ready()
         moves = smooth(0, 20_000) if streamed else profiles(0, 20_000)
-        lowered = world.driver.lower(moves, StartWay(), None)
+        lowered = world.driver.lower_profiles(moves, StartOptions(), None)
         for at in range(6):
             world.wire.to_near = aborting(code, lambda number, at=at: number == at)
-            with pytest.raises((DriverFault, CannotDo)):
-                await world.driver.arm(lowered, world.clock.now_ns() + 300 * NS_PER_MS, None)
-                raise CannotDo("armed", "there were not so many accesses")
+            with pytest.raises((ControllerFault, Refusal)):
+                await world.driver.arm_move(lowered, world.clock.now_ns() + 300 * NS_PER_MS, None)
+                raise Refusal("armed", "there were not so many accesses")
             world.wire.to_near = None
-            await world.driver.disarm()
+            await world.driver.disarm_move()
         await world.rest(600)
-        assert not world.unit.motions
+        assert not world.unit.commanded_motions
         await another(world, 0)
 
     run(main, **SMOOTH)
@@ -106,12 +107,12 @@ def test_an_emergency_at_any_stage_is_said_and_stops_the_drive(stage: str) -> No
     async def main(world: Drives) -> None:
         await world.ready()
         drive = world.unit.station.drive
-        world.clock.call_at_ns(world.clock.now_ns() + 600 * NS_PER_MS, lambda: drive.fault(0x3210, 0))
+        world.clock.call_at_ns(world.clock.now_ns() + 600 * NS_PER_MS, lambda: drive.enter_fault(0x3210, 0))
         if stage == "homing":
-            ((_, why),) = (await world.driver.home(["a"], lambda _: None)).items()
-            assert "3210h" in why.refusal.text
+            ((_, why),) = (await world.driver.home_axes(["a"], lambda _: None)).items()
+            assert "3210h" in why.text
         elif stage == "jog":
-            await world.driver.jog("a", JogMove(5_000, 100_000, None))
+            await world.driver.jog_axis("a", JogMove(5_000, 100_000, None))
         elif stage != "rest":
             await released(world, {0: smooth(0, 40_000) if stage == "stream" else profiles(0, 40_000)})
             _, outcome = await followed(world)
@@ -123,7 +124,7 @@ def test_an_emergency_at_any_stage_is_said_and_stops_the_drive(stage: str) -> No
         assert "3210h" in reading.faults[0].text and reading.faults[0].remedy
         assert not reading.axes["a"].enabled
         await world.driver.clear_faults()
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         await another(world, 0)
 
     run(main, simulate={"home_switch": [-90_000, -80_000]}, homing={"method": "home_switch_negative"}, **SMOOTH)
@@ -162,17 +163,17 @@ def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         link = await world.wire.open()
         link.write(MAKE.stop_bytes(config(1)))
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "another master" in outcome.reason
         await world.rest(300)
         assert world.unit.at_rest()
         assert 0 < world.unit.position("1") < 40_000
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         await another(world, 0)
 
     run(main, **SMOOTH)
@@ -181,24 +182,27 @@ def test_a_stranger_stops_a_stream_with_the_makes_stop_bytes() -> None:
 def test_two_drives_with_one_node_number_are_found_out() -> None:
     async def main(clock: Clock) -> None:
         branches = [
-            Branch(1, {}, Oscillator(0, 0.0), Timing(300 * NS_PER_US, 200 * NS_PER_US), seed) for seed in (1, 2)
+            DeviceSpec(1, {}, Oscillator(0, 0.0), FirmwareTiming(300 * NS_PER_US, 200 * NS_PER_US), seed)
+            for seed in (1, 2)
         ]
         segment, units = CIA402.build_shared(clock, branches)
         wire = MemoryWire(clock, can_wire(), segment, "can", "can can0", copy_context(), 3)
         its, shared = config(1), dict[str, Any]()
-        setup = Setup("d1", its, MAKE.options.model_validate({}), clock, wire.open, LoopFirer(clock), shared)
-        driver = MAKE.driver(setup)
-        with pytest.raises((DriverFault, LinkClosed)) as caught:
+        setup = DriverSetup(
+            "d1", its, MAKE.options_model.model_validate({}), clock, wire.open, LoopTimedWriter(clock), shared
+        )
+        driver = MAKE.create_driver(setup)
+        with pytest.raises((ControllerFault, LinkClosed)) as caught:
             await driver.connect()
             await driver.configure()
             while clock.now_ns() < 5000 * NS_PER_MS:
                 await driver.poll()
-                await driver.raw("6064:0/32")
+                await driver.send_raw("6064:0/32")
                 await sleep_ns(clock, 50 * NS_PER_MS)
-        assert isinstance(caught.value, DriverFault)
-        assert "node number" in caught.value.fault.remedy
-        assert not any(unit.motions for unit in units)
-        with suppress(DriverFault):
+        assert isinstance(caught.value, ControllerFault)
+        assert "node number" in caught.value.remedy
+        assert not any(unit.commanded_motions for unit in units)
+        with suppress(ControllerFault):
             await driver.close()
 
     run_virtual(main)

@@ -6,9 +6,9 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import FRAME_BYTES, CanFrame, decode, encode
+from orchestrator.model.errors import ControllerFault, Refusal
 from sim import cia402
 
 
@@ -16,22 +16,22 @@ def test_a_following_error_in_a_move_is_said_in_words_and_can_be_reset() -> None
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.unit.set_stalled("1", True)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "following error (8611h)" in outcome.reason
         reading = await world.driver.poll()
         assert [fault.code for fault in reading.faults] == ["emergency"]
         assert reading.faults[0].remedy
-        for refused in (world.driver.enable(["a"], True), world.driver.home(["a"], lambda _: None)):
-            with pytest.raises(CannotDo) as caught:
+        for refused in (world.driver.set_enabled(["a"], True), world.driver.home_axes(["a"], lambda _: None)):
+            with pytest.raises(Refusal) as caught:
                 await refused
-            assert caught.value.refusal.code == "fault"
+            assert caught.value.code == "fault"
         world.unit.set_stalled("1", False)
         await world.driver.clear_faults()
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         reading = await world.driver.poll()
         assert not reading.faults
         assert reading.axes["a"].enabled
@@ -44,18 +44,18 @@ def test_a_drive_that_is_switched_off_by_its_enable_input_is_told_so() -> None:
         world.unit.set_input(2, True)
         await world.ready()
         t0_ns = await world.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.unit.set_input(2, False)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "enable input" in outcome.reason
-        with pytest.raises(CannotDo) as caught:
-            await world.driver.enable(["a"], True)
-        assert caught.value.refusal.code == "not-switched"
-        assert "enable input" in caught.value.refusal.remedy
+        with pytest.raises(Refusal) as caught:
+            await world.driver.set_enabled(["a"], True)
+        assert caught.value.code == "not-switched"
+        assert "enable input" in caught.value.remedy
         world.unit.set_input(2, True)
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
 
     run(main, simulate={"enable_input": 2})
 
@@ -69,33 +69,33 @@ def test_a_drive_that_was_switched_off_and_on_is_found_out(stage: str) -> None:
         if stage != "armed":
             await world.driver.go()
         if stage == "moving":
-            await world.driver.started()
+            await world.driver.wait_for_start()
             await world.until(t0_ns + 200 * NS_PER_MS)
         world.unit.set_power(False)
         await world.rest(20)
         world.unit.set_power(True)
         if stage == "armed":
             await world.rest(300)
-            with pytest.raises(CannotDo):
-                await world.driver.verify()
+            with pytest.raises(Refusal):
+                await world.driver.verify_armed()
         elif stage == "released":
-            with pytest.raises(DriverFault) as caught:
-                await world.driver.started()
-            assert "switched off and on" in caught.value.fault.text
+            with pytest.raises(ControllerFault) as caught:
+                await world.driver.wait_for_start()
+            assert "switched off and on" in caught.value.text
         else:
-            outcome = await world.driver.outcome()
+            outcome = await world.driver.wait_for_end()
             assert outcome.state == "fault"
             assert "switched off and on" in outcome.reason
         await world.rest(300)
         assert (await world.driver.poll()).restarted
         assert not (await world.driver.poll()).restarted
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 5000, t0_ns, begin=here)
         await world.driver.go()
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
 
     run(main)
 
@@ -104,9 +104,9 @@ def test_a_burst_of_error_frames_disturbs_no_move() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         world.bus.disturb(10)
-        assert (await world.driver.outcome()).state == "done"
+        assert (await world.driver.wait_for_end()).state == "done"
         assert world.unit.position("1") == 40_000
 
     run(main)
@@ -116,24 +116,24 @@ def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         # Only what this computer sends is destroyed: the drives stay on the bus.
         node = world.bus._nodes[-1]
         node.transmit_errors = 255
         node.send(CanFrame(0x201, bytes([0x0F, 0])))
         world.bus.disturb(1)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "bus-off" in outcome.reason
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.poll()
-        assert caught.value.fault.code == "bus-off"
-        assert caught.value.fault.remedy
+        assert caught.value.code == "bus-off"
+        assert caught.value.remedy
         await world.driver.stop(False)
-        assert world.unit.moving("1")
+        assert world.unit.is_moving("1")
         await world.rest(600)
-        assert not world.unit.moving("1")
+        assert not world.unit.is_moving("1")
         assert world.unit.position("1") < 400_000
         assert not (await world.driver.poll()).axes["a"].moving
 
@@ -143,21 +143,21 @@ def test_bus_off_in_a_move_is_said_and_a_stop_is_said_again_afterwards() -> None
 @pytest.mark.parametrize("without", ["6062", "6083", "60FD"])
 def test_an_object_that_can_not_be_mapped_is_named(without: str) -> None:
     async def main(world: Drives) -> None:
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
-        assert caught.value.fault.code == "pdo-mapping"
-        assert f"{without}h" in caught.value.fault.text
-        assert caught.value.fault.remedy
+        assert caught.value.code == "pdo-mapping"
+        assert f"{without}h" in caught.value.text
+        assert caught.value.remedy
 
     run(main, simulate={"without": (without,)})
 
 
 def test_a_device_of_another_profile_is_refused() -> None:
     async def main(world: Drives) -> None:
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
-        assert caught.value.fault.code == "wrong-make"
-        assert "401" in caught.value.fault.text
+        assert caught.value.code == "wrong-make"
+        assert "401" in caught.value.text
 
     run(main, simulate={"objects": {"1000": 401}})
 
@@ -173,11 +173,11 @@ def test_a_device_of_another_profile_is_refused() -> None:
 def test_a_factor_group_that_differs_is_refused(objects: dict[str, int], options: dict[str, str], words: str) -> None:
     async def main(world: Drives) -> None:
         await world.driver.connect()
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.configure()
-        assert caught.value.fault.code == "config-mismatch"
-        assert words in caught.value.fault.text
-        assert caught.value.fault.remedy
+        assert caught.value.code == "config-mismatch"
+        assert words in caught.value.text
+        assert caught.value.remedy
 
     run(main, simulate={"objects": objects}, options=options)
 
@@ -185,10 +185,10 @@ def test_a_factor_group_that_differs_is_refused(objects: dict[str, int], options
 def test_a_node_that_is_not_there_is_said() -> None:
     async def main(world: Drives) -> None:
         world.unit.set_power(False)
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
-        assert caught.value.fault.code == "no-answer"
-        assert "node number" in caught.value.fault.remedy
+        assert caught.value.code == "no-answer"
+        assert "node number" in caught.value.remedy
 
     run(main)
 
@@ -197,12 +197,12 @@ def test_answers_that_come_twice_are_said() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         world.wire.to_near = lambda data: data * 2 if data[:4] == bytes.fromhex("81050000") else data
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             for _ in range(10):
-                await world.driver.raw("6041:0/16")
+                await world.driver.send_raw("6041:0/16")
                 await world.rest(5)
-        assert caught.value.fault.code == "two-answers"
-        assert caught.value.fault.remedy
+        assert caught.value.code == "two-answers"
+        assert caught.value.remedy
 
     run(main)
 
@@ -218,12 +218,12 @@ def test_a_late_answer_is_not_taken_for_that_to_something_else() -> None:
             held.append(data)
             return b"" if len(held) == 1 else b"".join(held)
 
-        await world.driver.raw("6081:0/32=1234")
+        await world.driver.send_raw("6081:0/32=1234")
         world.wire.to_near = delay
-        with pytest.raises(DriverFault) as caught:
-            await world.driver.raw("6041:0/16")
-        assert caught.value.fault.code == "no-answer"
-        assert await world.driver.raw("6081:0/32") == "1234"
+        with pytest.raises(ControllerFault) as caught:
+            await world.driver.send_raw("6041:0/16")
+        assert caught.value.code == "no-answer"
+        assert await world.driver.send_raw("6081:0/32") == "1234"
 
     run(main)
 
@@ -238,12 +238,12 @@ def test_sdo_aborts_are_told_in_words() -> None:
             ("6083:0/32=0", "invalid value"),
             ("6081:0/16=1", "length"),
         ):
-            with pytest.raises(DriverFault, match=words) as caught:
-                await world.driver.raw(command)
-            assert caught.value.fault.code == "sdo-abort"
-        with pytest.raises(CannotDo) as refused:
-            await world.driver.raw("hello")
-        assert refused.value.refusal.code == "raw-line"
+            with pytest.raises(ControllerFault, match=words) as caught:
+                await world.driver.send_raw(command)
+            assert caught.value.code == "sdo-abort"
+        with pytest.raises(Refusal) as refused:
+            await world.driver.send_raw("hello")
+        assert refused.value.code == "raw-line"
 
     run(main)
 
@@ -253,14 +253,14 @@ def test_an_emergency_between_arming_and_the_promise_is_found_out() -> None:
         await world.ready()
         t0_ns = world.clock.now_ns() + 400 * NS_PER_MS
         await world.arm(0, 40_000, t0_ns)
-        world.unit.station.drive.fault(0x4310, 0)
+        world.unit.station.drive.enter_fault(0x4310, 0)
         await world.rest(5)
-        with pytest.raises(CannotDo) as caught:
-            await world.driver.verify()
-        assert "excess temperature of the drive (4310h)" in caught.value.refusal.text
-        await world.driver.disarm()
+        with pytest.raises(Refusal) as caught:
+            await world.driver.verify_armed()
+        assert "excess temperature of the drive (4310h)" in caught.value.text
+        await world.driver.disarm_move()
         await world.until(t0_ns + 200 * NS_PER_MS)
-        assert not world.unit.motions
+        assert not world.unit.commanded_motions
 
     run(main)
 
@@ -270,11 +270,11 @@ def test_a_fault_just_before_the_start_is_said_by_its_emergency() -> None:
         await world.ready()
         t0_ns = await world.go()
         await world.until(t0_ns - 10 * NS_PER_MS)
-        world.unit.station.drive.fault(0x3210, 0)
-        with pytest.raises(DriverFault) as caught:
-            await world.driver.started()
-        assert "DC link over-voltage (3210h)" in caught.value.fault.text
-        assert not world.unit.motions
+        world.unit.station.drive.enter_fault(0x3210, 0)
+        with pytest.raises(ControllerFault) as caught:
+            await world.driver.wait_for_start()
+        assert "DC link over-voltage (3210h)" in caught.value.text
+        assert not world.unit.commanded_motions
 
     run(main)
 
@@ -294,10 +294,10 @@ def test_the_eds_file_of_another_product_is_found_out(tmp_path: Path) -> None:
     other.write_text(_EDS.read_text().replace("ProductNumber=0x00000402", "ProductNumber=0x00000777"))
 
     async def main(world: Drives) -> None:
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.driver.connect()
-        assert caught.value.fault.code == "config-mismatch"
-        assert "0x00000777" in caught.value.fault.text
+        assert caught.value.code == "config-mismatch"
+        assert "0x00000777" in caught.value.text
 
     run(main, options={"eds": str(other)})
 
@@ -306,8 +306,8 @@ def test_the_eds_file_of_another_product_is_found_out(tmp_path: Path) -> None:
     ("old", "new", "words"),
     [
         ("[6062]", "[5062]", "no position demand value"),
-        ("[DeviceInfo]", "rubbish [DeviceInfo", "can not be read"),
-        ("", "", "can not be read"),
+        ("[DeviceInfo]", "rubbish [DeviceInfo", "cannot be read"),
+        ("", "", "cannot be read"),
     ],
 )
 def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -316,7 +316,7 @@ def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: 
         text = _EDS.read_text()
         other.write_text(new + "\n" + text if words != "no position demand value" else text.replace(old, new))
     with pytest.raises(ValueError, match=words):
-        MAKE.check(config(1, {"eds": str(other)}))
+        MAKE.check_config(config(1, {"eds": str(other)}))
 
 
 def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() -> None:
@@ -339,8 +339,8 @@ def test_a_drive_that_takes_a_mapping_only_pre_operational_is_brought_there() ->
         await world.ready()
         assert commands == [0x80, 0x01]
         await world.go()
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
 
     run(main)
 
@@ -349,15 +349,15 @@ def test_one_that_comes_anew_stops_a_moving_drive_before_it_asks_anything() -> N
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         fresh = world.fresh()
-        assert await fresh.stop_first()
+        assert await fresh.stop_before_connect()
         await world.rest(300)
-        assert not world.unit.moving("1")
+        assert not world.unit.is_moving("1")
         await fresh.connect()
         await fresh.configure()
-        await fresh.enable(["a"], True)
+        await fresh.set_enabled(["a"], True)
         assert (await fresh.poll()).axes["a"].enabled
         await fresh.close()
 

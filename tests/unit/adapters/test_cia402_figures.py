@@ -15,7 +15,7 @@ def test_lowered_moves_take_what_was_planned_and_are_executed_as_predicted() -> 
 def test_eight_drives_start_together_and_are_armed_hardly_slower_than_their_frames() -> None:
     rows = bench_can(8)
     asked = [row for row in rows if row.asked]
-    assert [row.what for row in asked] == ["start skew, one SYNC", "arming against its frames"]
+    assert [row.what for row in asked] == ["start skew, one SYNC", "arming compared with its frames"]
     assert all(row.met for row in asked), asked
     # One after another they are much further apart, so that the figure says something.
     assert rows[0].p50 > 10 * rows[1].p99

@@ -15,7 +15,7 @@ def fleet() -> Fleet:
     def controller(number: int) -> dict[str, Any]:
         return {
             "adapter": "cia402",
-            "link": {"kind": "can", "interface": "socketcan", "channel": f"can{number % 2}", "unit": 10 + number},
+            "link": {"kind": "can", "interface": "socketcan", "channel": f"can{number % 2}", "address": 10 + number},
             "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
             "axes": {
                 "x": {
@@ -46,10 +46,10 @@ def test_two_buses_home_and_start_together_with_a_verdict_that_holds_the_truth()
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason
         for to in (10, 60):
-            before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+            before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
             report = await outcome(virtual, move(to))
             assert report.state == "done", report.reason
-            starts = {name: each.motions[before[name]].start_ns for name, each in virtual.controllers.items()}
+            starts = {name: each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items()}
             for bus in (0, 1):
                 of_bus = [start_ns for name, start_ns in starts.items() if int(name[1:]) % 2 == bus]
                 assert max(of_bus) - min(of_bus) <= 0.15 * NS_PER_MS
@@ -72,7 +72,7 @@ def test_a_drive_that_is_switched_off_ends_the_step_of_all() -> None:
         report = await outcome(virtual, move(190))
         assert report.state != "done"
         await sleep_ns(virtual.clock, 3 * NS_PER_S)
-        assert not any(each.moving("1") for each in virtual.controllers.values())
+        assert not any(each.is_moving("1") for each in virtual.controllers.values())
         assert all(each.position("1") < 180_000 for each in virtual.controllers.values())
 
     run_fleet(main, fleet())

@@ -5,9 +5,10 @@ import asyncio
 import pytest
 from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, run
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import Refusal
 
 SWITCH = {"home_switch": [-3000, -2000], "travel": [-20_000, 60_000]}
 
@@ -20,20 +21,20 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
     async def main(world: Drives) -> None:
         await world.ready()
         found: list[str] = []
-        assert await world.driver.home(["a"], found.append) == {}
+        assert await world.driver.home_axes(["a"], found.append) == {}
         assert found == ["a"]
-        assert not world.unit.moving("1")
+        assert not world.unit.is_moving("1")
         if place is None:
             # At one of the edges of the switch, which is 0 now.
             assert world.unit.position("1") == 0
-            assert round(world.unit.station.drive.servo.mechanical) in (-3000, -2000)
+            assert round(world.unit.station.drive.servo.mechanical_position) in (-3000, -2000)
         # And a step can begin there.
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 3000, t0_ns, begin=here)
         await world.driver.go()
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
 
     run(main, simulate=SWITCH, homing={"method": method, "speed": 8000})
 
@@ -48,11 +49,11 @@ def test_who_has_found_its_reference_rests(method: str, inhibit_ms: int) -> None
         here = (await world.driver.poll()).axes["a"].commanded_counts
         await world.arm(0, here + 3000, world.clock.now_ns() + 200 * NS_PER_MS, begin=here)
         await world.driver.go()
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
-        assert await world.driver.home(["a"], lambda _: None) == {}
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
+        assert await world.driver.home_axes(["a"], lambda _: None) == {}
         reading = (await world.driver.poll()).axes["a"]
-        assert not reading.moving and not world.unit.moving("1")
+        assert not reading.moving and not world.unit.is_moving("1")
         assert abs(reading.commanded_counts) <= 1 or method == "negative_limit"
 
     run(main, simulate=SWITCH, options={"inhibit_ms": inhibit_ms}, homing={"method": method, "speed": 8000})
@@ -63,9 +64,9 @@ def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
 
     async def main(world: Drives) -> None:
         await world.ready()
-        searching = asyncio.ensure_future(world.driver.home(["a"], lambda _: None))
+        searching = asyncio.ensure_future(world.driver.home_axes(["a"], lambda _: None))
         await world.rest(200)
-        assert world.unit.moving("1") and not searching.done()
+        assert world.unit.is_moving("1") and not searching.done()
         await world.driver.close()
         with pytest.raises(LinkClosed):
             await asyncio.wait_for(searching, 0.01)
@@ -76,9 +77,9 @@ def test_a_search_for_the_reference_ends_when_its_drive_is_left() -> None:
 def test_a_reference_that_is_not_there_is_said() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        failed = await world.driver.home(["a"], lambda _: None)
-        assert failed["a"].refusal.code == "homing-failed"
-        assert failed["a"].refusal.remedy
+        failed = await world.driver.home_axes(["a"], lambda _: None)
+        assert failed["a"].code == "homing-failed"
+        assert failed["a"].remedy
 
     run(main, simulate={"travel": [-5000, 5000]}, homing={"method": "23", "speed": 8000})
 
@@ -86,10 +87,10 @@ def test_a_reference_that_is_not_there_is_said() -> None:
 def test_a_method_that_the_drive_does_not_have_is_refused() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        with pytest.raises(CannotDo) as caught:
-            await world.driver.home(["a"], lambda _: None)
-        assert caught.value.refusal.code == "homing-method"
-        assert "invalid value" in caught.value.refusal.text
+        with pytest.raises(Refusal) as caught:
+            await world.driver.home_axes(["a"], lambda _: None)
+        assert caught.value.code == "homing-method"
+        assert "invalid value" in caught.value.text
 
     run(main, homing={"method": "15"})
 
@@ -98,9 +99,9 @@ def test_a_method_that_the_drive_does_not_have_is_refused() -> None:
 def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        homing = asyncio.get_running_loop().create_task(world.driver.home(["a"], lambda _: None))
+        homing = asyncio.get_running_loop().create_task(world.driver.home_axes(["a"], lambda _: None))
         await world.rest(300)
-        assert world.unit.moving("1")
+        assert world.unit.is_moving("1")
         if cancelled:
             homing.cancel()
             with pytest.raises(asyncio.CancelledError):
@@ -109,7 +110,7 @@ def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -
             await world.driver.stop(False)
             assert "stopped" in str((await homing)["a"])
         await world.rest(400)
-        assert not world.unit.moving("1")
+        assert not world.unit.is_moving("1")
         axis = (await world.driver.poll()).axes["a"]
         assert axis.enabled
         assert not axis.moving
@@ -120,24 +121,24 @@ def test_homing_ends_with_a_stop_or_with_its_callers_patience(cancelled: bool) -
 def test_a_jog_ends_by_itself_is_changed_and_turned_round() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        await world.driver.jog("a", JogMove(10_000, ACCELERATION, 5000))
+        await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, 5000))
         await world.rest(100)
         assert (await world.driver.poll()).axes["a"].moving
-        await world.driver.jog("a", JogMove(20_000, ACCELERATION, 5000))
+        await world.driver.jog_axis("a", JogMove(20_000, ACCELERATION, 5000))
         await world.rest(1000)
         assert world.unit.position("1") == 5000
         assert not (await world.driver.poll()).axes["a"].moving
-        with pytest.raises(CannotDo) as caught:
-            await world.driver.jog("a", JogMove(20_000, ACCELERATION, 5000))
-        assert caught.value.refusal.code == "at-end"
-        await world.driver.jog("a", JogMove(20_000, ACCELERATION, None))
+        with pytest.raises(Refusal) as caught:
+            await world.driver.jog_axis("a", JogMove(20_000, ACCELERATION, 5000))
+        assert caught.value.code == "at-end"
+        await world.driver.jog_axis("a", JogMove(20_000, ACCELERATION, None))
         await world.rest(300)
-        await world.driver.jog("a", JogMove(-20_000, ACCELERATION, None))
+        await world.driver.jog_axis("a", JogMove(-20_000, ACCELERATION, None))
         await world.rest(300)
         assert world.unit.velocity("1") == pytest.approx(-20_000, rel=1e-3)
         await world.driver.stop_axes(["a"])
         await world.rest(300)
-        assert not world.unit.moving("1")
+        assert not world.unit.is_moving("1")
 
     run(main)
 
@@ -145,16 +146,16 @@ def test_a_jog_ends_by_itself_is_changed_and_turned_round() -> None:
 def test_a_jog_is_over_for_a_drive_that_was_switched_off_and_on() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        await world.driver.jog("a", JogMove(10_000, ACCELERATION, None))
+        await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, None))
         await world.rest(100)
         world.unit.set_power(False)
         await world.rest(20)
         world.unit.set_power(True)
         await world.rest(500)
         assert (await world.driver.poll()).restarted
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         assert not (await world.driver.poll()).axes["a"].moving
-        assert await world.driver.home(["a"], lambda _: None) == {}
+        assert await world.driver.home_axes(["a"], lambda _: None) == {}
 
     run(main)
 
@@ -162,18 +163,18 @@ def test_a_jog_is_over_for_a_drive_that_was_switched_off_and_on() -> None:
 def test_a_step_is_refused_while_jogging_and_a_jog_while_a_step_is_loaded() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        await world.driver.jog("a", JogMove(10_000, ACCELERATION, None))
+        await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, None))
         await world.rest(50)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(0, 50_000, world.clock.now_ns() + 500 * NS_PER_MS)
-        assert caught.value.refusal.code == "busy"
+        assert caught.value.code == "busy"
         await world.driver.stop(False)
         await world.rest(300)
         here = (await world.driver.poll()).axes["a"].commanded_counts
         await world.arm(0, 50_000, world.clock.now_ns() + 500 * NS_PER_MS, begin=here)
-        with pytest.raises(CannotDo) as caught:
-            await world.driver.jog("a", JogMove(10_000, ACCELERATION, None))
-        assert caught.value.refusal.code == "busy"
+        with pytest.raises(Refusal) as caught:
+            await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, None))
+        assert caught.value.code == "busy"
 
     run(main)
 
@@ -181,13 +182,13 @@ def test_a_step_is_refused_while_jogging_and_a_jog_while_a_step_is_loaded() -> N
 def test_limits_are_loaded_and_taken_away() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
-        await world.driver.load_limits({"a": (-1000, 3000)})
-        assert await world.driver.raw("607D:2/32") == "3000"
-        await world.driver.jog("a", JogMove(10_000, ACCELERATION, None))
+        await world.driver.load_soft_limits({"a": (-1000, 3000)})
+        assert await world.driver.send_raw("607D:2/32") == "3000"
+        await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, None))
         await world.rest(1500)
         assert world.unit.position("1") == 3000
-        await world.driver.load_limits({"a": None})
-        await world.driver.jog("a", JogMove(10_000, ACCELERATION, 4000))
+        await world.driver.load_soft_limits({"a": None})
+        await world.driver.jog_axis("a", JogMove(10_000, ACCELERATION, 4000))
         await world.rest(1500)
         assert world.unit.position("1") == 4000
 
@@ -199,18 +200,18 @@ def test_a_stop_takes_the_target_away_and_leaves_the_motor_on(abort: bool) -> No
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 700 * NS_PER_MS)
         begun_ns = world.clock.now_ns()
         await world.driver.stop(abort)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
-        took_ms = (world.unit.motions[-1].end_ns - begun_ns) / NS_PER_MS
+        took_ms = (world.unit.commanded_motions[-1].end_ns - begun_ns) / NS_PER_MS
         # By the ramp of the profile, or by the quick stop ramp of the fleet file.
         ramp_ms = 1000 * VELOCITY / 2 / (2_000_000 if abort else ACCELERATION / 2)
         assert ramp_ms <= took_ms <= ramp_ms + 5
         await world.rest(1000)
-        assert len(world.unit.motions) == 1
+        assert len(world.unit.commanded_motions) == 1
         assert (await world.driver.poll()).axes["a"].enabled
 
     run(main, options={"quick_stop_acceleration": 2_000_000})

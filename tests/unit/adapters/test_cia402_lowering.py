@@ -8,16 +8,17 @@ from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, config, profiles
 
 from adapters.cia402 import MAKE
 from adapters.cia402.bus import SHARED
-from adapters.cia402.driver import CiaDriver
-from adapters.cia402.shape import Bounds, Units, fit
-from adapters.cia402.states import State, state_of
+from adapters.cia402.driver import Cia402Driver
+from adapters.cia402.shape import DriveBounds, DriveUnits, fit_trapezoid
+from adapters.cia402.states import DriveState, drive_state_of
 from adapters.cia402.words import abort_text, emergency_text
-from adapters.contract import CannotDo, Setup
-from adapters.toolkit.firing import LoopFirer
+from adapters.contract import DriverSetup
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.queue import EventQueue
 from orchestrator.link.base import Link
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineWait, StartWay
+from orchestrator.model.messages import StartOptions, TriggerWait
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -26,31 +27,31 @@ async def _no_link() -> Link:
     raise AssertionError("lowering opens no link")
 
 
-def _driver(node: int = 1, shared: dict[str, Any] | None = None, **options: Any) -> CiaDriver:
+def _driver(node: int = 1, shared: dict[str, Any] | None = None, **options: Any) -> Cia402Driver:
     its, clock = config(node, options), EventQueue()
     known = {} if shared is None else shared
-    parsed = MAKE.options.model_validate(its.options)
-    return MAKE.driver(Setup("d", its, parsed, clock, _no_link, LoopFirer(clock), known))
+    parsed = MAKE.options_model.model_validate(its.options)
+    return MAKE.create_driver(DriverSetup("d", its, parsed, clock, _no_link, LoopTimedWriter(clock), known))
 
 
 def test_durations_are_met_within_the_bounds() -> None:
-    draw, bounds, units = Random(1), Bounds(VELOCITY, ACCELERATION), Units(1.0, 1.0)
+    draw, bounds, units = Random(1), DriveBounds(VELOCITY, ACCELERATION), DriveUnits(1.0, 1.0)
     for _ in range(300):
         velocity = VELOCITY * draw.uniform(0.02, 0.9)
         acceleration = min(velocity / draw.uniform(0.05, 1.0), ACCELERATION * 0.9)
         way = draw.randrange(500, 400_000)
         profile = plan_step([AxisMove("a", 0, way, velocity, acceleration)]).profiles["a"]
-        shape = fit(way, profile.duration_s, profile.peak_velocity, bounds, units)
+        shape = fit_trapezoid(way, profile.duration_s, profile.peak_velocity, bounds, units)
         assert shape is not None
         assert abs(shape.duration_s - profile.duration_s) < 100e-6
         assert shape.velocity <= VELOCITY
         assert max(shape.acceleration, shape.deceleration) <= ACCELERATION
-        covered = sum(leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2) for leg in shape.legs)
+        covered = sum(leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2) for leg in shape.motion_legs)
         assert covered == pytest.approx(way)
 
 
 def test_other_units_of_velocity_are_used() -> None:
-    shape = fit(40_000, 2.0, 30_000.0, Bounds(VELOCITY, ACCELERATION), Units(10.0, 0.001))
+    shape = fit_trapezoid(40_000, 2.0, 30_000.0, DriveBounds(VELOCITY, ACCELERATION), DriveUnits(10.0, 0.001))
     assert shape is not None
     assert shape.velocity == pytest.approx(300_000, rel=0.01)
     assert shape.acceleration <= ACCELERATION * 0.001
@@ -58,15 +59,15 @@ def test_other_units_of_velocity_are_used() -> None:
 
 
 def test_too_quick_a_move_is_answered_with_the_duration_that_it_needs() -> None:
-    quick = profiles(0, 40_000)["a"].stretched(0.2)
-    lowered = _driver().lower({"a": quick}, StartWay(), None)
+    quick = profiles(0, 40_000)["a"].stretch_time(0.2)
+    lowered = _driver().lower_profiles({"a": quick}, StartOptions(), None)
     assert lowered.durations_s["a"] > quick.duration_s * 2
     assert lowered.shape is not None
     assert lowered.shape.velocity <= VELOCITY
 
 
 def test_what_does_not_move_has_no_set_point() -> None:
-    lowered = _driver().lower({"a": Profile(500, 500, 1.0, [], [], [])}, StartWay(), None)
+    lowered = _driver().lower_profiles({"a": Profile(500, 500, 1.0, [], [], [])}, StartOptions(), None)
     assert lowered.durations_s == {"a": 0.0}
     assert lowered.shape is None
     assert lowered.commands == ()
@@ -74,21 +75,21 @@ def test_what_does_not_move_has_no_set_point() -> None:
 
 def test_what_can_not_be_done_is_refused_with_a_remedy() -> None:
     jerky = dict(plan_step([AxisMove("a", 0, 40_000, VELOCITY, ACCELERATION, 4e6, order=3)]).profiles)
-    waits = StartWay(wait=LineWait(input="go", earliest_ns=0, latest_ns=1))
+    waits = StartOptions(wait=TriggerWait(input="go", earliest_ns=0, latest_ns=1))
     far = {"a": Profile(0, 2**31, float(2**31), [1e5], [0.0], [0.0])}
     for moves, how, code in (
-        (jerky, StartWay(), "jerk"),
-        (profiles(0, 100), StartWay(by="clock"), "start-class"),
-        (profiles(0, 100), StartWay(by="host"), "start-class"),
-        (profiles(0, 100), StartWay(by="line"), "start-class"),
+        (jerky, StartOptions(), "jerk"),
+        (profiles(0, 100), StartOptions(start_class="clock"), "start-class"),
+        (profiles(0, 100), StartOptions(start_class="host"), "start-class"),
+        (profiles(0, 100), StartOptions(start_class="line"), "start-class"),
         (profiles(0, 100), waits, "start-class"),
-        (far, StartWay(), "too-far"),
-        ({"a": profiles(0, 2)["a"].stretched(1e4)}, StartWay(), "too-slow"),
+        (far, StartOptions(), "too-far"),
+        ({"a": profiles(0, 2)["a"].stretch_time(1e4)}, StartOptions(), "too-slow"),
     ):
-        with pytest.raises(CannotDo) as caught:
-            _driver().lower(moves, how, None)
-        assert caught.value.refusal.code == code
-        assert caught.value.refusal.remedy
+        with pytest.raises(Refusal) as caught:
+            _driver().lower_profiles(moves, how, None)
+        assert caught.value.code == code
+        assert caught.value.remedy
 
 
 def test_drives_of_one_bus_agree_on_the_instant_of_the_sync() -> None:
@@ -97,12 +98,12 @@ def test_drives_of_one_bus_agree_on_the_instant_of_the_sync() -> None:
     slow = _driver(2, shared, start_us=700, start_spread_us=50)
     assert shared[SHARED].start_ns == 400_000
     moves = profiles(0, 1000)
-    leads = {driver.lower(moves, StartWay(), None).lead_ns for driver in (quick, slow)}
+    leads = {driver.lower_profiles(moves, StartOptions(), None).lead_ns for driver in (quick, slow)}
     assert len(leads) == 1
     firmware = [
         (term.earliest_ns, term.latest_ns)
         for driver in (quick, slow)
-        for term in driver.lower(moves, StartWay(), None).terms
+        for term in driver.lower_profiles(moves, StartOptions(), None).terms
         if term.name == "firmware"
     ]
     assert firmware == [(-350_000, -250_000), (250_000, 350_000)]
@@ -129,23 +130,23 @@ def test_a_wrong_fleet_file_is_told_what_is_allowed(change: dict[str, Any], word
         else:
             plain[key] = value
     with pytest.raises(ValueError, match=words):
-        MAKE.check(Controller.model_validate(plain))
+        MAKE.check_config(Controller.model_validate(plain))
 
 
 def test_statuswords_name_their_state_whatever_the_other_bits_are() -> None:
     expected = {
-        0x0000: State.NOT_READY,
-        0x0040: State.DISABLED,
-        0x0250: State.DISABLED,
-        0x0631: State.READY,
-        0x0633: State.SWITCHED_ON,
-        0x1637: State.ENABLED,
-        0x0617: State.QUICK_STOP,
-        0x021F: State.REACTION,
-        0x0218: State.FAULT,
-        0x0238: State.FAULT,
+        0x0000: DriveState.NOT_READY,
+        0x0040: DriveState.DISABLED,
+        0x0250: DriveState.DISABLED,
+        0x0631: DriveState.READY,
+        0x0633: DriveState.SWITCHED_ON,
+        0x1637: DriveState.ENABLED,
+        0x0617: DriveState.QUICK_STOP,
+        0x021F: DriveState.REACTION,
+        0x0218: DriveState.FAULT,
+        0x0238: DriveState.FAULT,
     }
-    assert {word: state_of(word) for word in expected} == expected
+    assert {word: drive_state_of(word) for word in expected} == expected
 
 
 def test_codes_have_words() -> None:
@@ -153,4 +154,4 @@ def test_codes_have_words() -> None:
     assert "does not list" in abort_text(0x1234_5678)
     assert emergency_text(0x8611) == "following error (8611h)"
     assert emergency_text(0x4299) == "device temperature (4299h)"
-    assert emergency_text(0xFF42) == "an error of the maker's own (FF42h)"
+    assert emergency_text(0xFF42) == "a manufacturer-specific error (FF42h)"

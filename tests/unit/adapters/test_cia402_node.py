@@ -2,8 +2,8 @@
 
 import asyncio
 
-from adapters.cia402.bus import Bus
-from adapters.cia402.node import Node
+from adapters.cia402.bus import Cia402Bus
+from adapters.cia402.node import BusDrive
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 
@@ -12,17 +12,17 @@ WAITING = 50
 
 def test_who_waits_goes_on_in_the_order_of_asking_in_every_run() -> None:
     async def main(clock: VirtualClock) -> list[int]:
-        node = Node(Bus(clock, 1_000_000), 1, "a", NS_PER_S, outputs=False)
+        node = BusDrive(Cia402Bus(clock, 1_000_000), 1, "a", NS_PER_S, outputs=False)
         order: list[int] = []
 
         async def wait(number: int) -> None:
-            assert await node.until(lambda: node.loaded, NS_PER_S)
+            assert await node.wait_until(lambda: node.loaded, NS_PER_S)
             order.append(number)
 
         tasks = [asyncio.get_running_loop().create_task(wait(number)) for number in range(WAITING)]
         await asyncio.sleep(0.1)
         node.loaded = True
-        node.wake()
+        node.wake_waiting()
         await asyncio.gather(*tasks)
         return order
 

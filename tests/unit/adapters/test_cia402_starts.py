@@ -6,9 +6,10 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.plan.step import AxisMove, plan_step
 
 
@@ -21,11 +22,11 @@ def test_one_sync_starts_all_drives_of_a_step() -> None:
         for driver in world.drivers:
             await driver.go()
         before_ns = world.clock.now_ns()
-        spans = await asyncio.gather(*(driver.started() for driver in world.drivers))
-        outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers))
+        spans = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
+        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
         assert [each.state for each in outcomes] == ["done"] * 4
         assert world.syncs(before_ns) == 1
-        starts = [unit.motions[-1].start_ns for unit in world.units]
+        starts = [unit.commanded_motions[-1].start_ns for unit in world.units]
         assert max(starts) - min(starts) <= 150_000
         for span, start_ns in zip(spans, starts, strict=True):
             assert span["a"].earliest_ns <= start_ns <= span["a"].latest_ns
@@ -44,18 +45,18 @@ def test_one_that_is_disarmed_does_not_start_with_the_others(released: bool) -> 
         if released:
             await world.drivers[0].go()
             await world.rest(5)
-        await world.drivers[0].disarm()
-        await world.drivers[1].started()
-        assert (await world.drivers[1].outcome()).state == "done"
-        assert not world.units[0].motions
+        await world.drivers[0].disarm_move()
+        await world.drivers[1].wait_for_start()
+        assert (await world.drivers[1].wait_for_end()).state == "done"
+        assert not world.units[0].commanded_motions
         assert world.units[1].position("1") == 20_000
         # Nor with a later SYNC of others.
         t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
         await world.arm(1, 0, t0_ns, begin=20_000)
         await world.drivers[1].go()
-        await world.drivers[1].started()
-        assert (await world.drivers[1].outcome()).state == "done"
-        assert not world.units[0].motions
+        await world.drivers[1].wait_for_start()
+        assert (await world.drivers[1].wait_for_end()).state == "done"
+        assert not world.units[0].commanded_motions
 
     run(main, count=2)
 
@@ -65,13 +66,13 @@ def test_a_released_step_that_is_disarmed_alone_leaves_nothing_waiting() -> None
         await world.ready()
         t0_ns = await world.go(after_ms=300)
         await world.rest(5)
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         await world.until(t0_ns + 500 * NS_PER_MS)
         # Whoever sends a SYNC now starts nothing.
         link = await world.wire.open()
         link.write(bytes.fromhex("80000000") + bytes(12))
         await world.rest(500)
-        assert not world.unit.motions
+        assert not world.unit.commanded_motions
 
     run(main)
 
@@ -81,17 +82,17 @@ def test_steps_of_one_bus_start_one_after_another_each_with_its_own_sync() -> No
         await world.ready()
         t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
         await world.arm(0, 20_000, t0_ns)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(1, 20_000, t0_ns + 5 * NS_PER_MS)
-        assert caught.value.refusal.code == "bus-busy"
-        assert caught.value.refusal.remedy
+        assert caught.value.code == "bus-busy"
+        assert caught.value.remedy
         await world.arm(1, 20_000, t0_ns + 50 * NS_PER_MS)
         # The later one is released first: its set-point must not be taken by the earlier SYNC.
         await world.drivers[1].go()
         await world.drivers[0].go()
-        spans = await asyncio.gather(*(driver.started() for driver in world.drivers))
-        await asyncio.gather(*(driver.outcome() for driver in world.drivers))
-        starts = [unit.motions[-1].start_ns for unit in world.units]
+        spans = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
+        await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
+        starts = [unit.commanded_motions[-1].start_ns for unit in world.units]
         assert 48 * NS_PER_MS < starts[1] - starts[0] < 52 * NS_PER_MS
         for span, start_ns in zip(spans, starts, strict=True):
             assert span["a"].earliest_ns <= start_ns <= span["a"].latest_ns
@@ -104,21 +105,21 @@ def test_a_lost_sync_is_said_and_nothing_moves() -> None:
         await world.ready()
         await world.go()
         world.wire.to_far = lambda data: b"" if data[:4] == bytes.fromhex("80000000") else data
-        with pytest.raises(DriverFault) as caught:
-            await world.driver.started()
-        assert caught.value.fault.code == "not-started"
-        assert "SYNC" in caught.value.fault.text
-        assert caught.value.fault.remedy
+        with pytest.raises(ControllerFault) as caught:
+            await world.driver.wait_for_start()
+        assert caught.value.code == "not-started"
+        assert "SYNC" in caught.value.text
+        assert caught.value.remedy
         await world.driver.stop(False)
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         world.wire.to_far = None
-        assert not world.unit.motions
+        assert not world.unit.commanded_motions
         # What had been lost is not made up for by the next start.
         await world.rest(200)
         await world.go(target=-10_000)
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
-        assert [motion.end_counts for motion in world.unit.motions] == [-10_000]
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
+        assert [motion.end_counts for motion in world.unit.commanded_motions] == [-10_000]
 
     run(main)
 
@@ -127,14 +128,14 @@ def test_a_stranger_stops_a_moving_drive_with_the_makes_stop_bytes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 1000 * NS_PER_MS)
-        assert world.unit.moving("1")
+        assert world.unit.is_moving("1")
         link = await world.wire.open()
         link.write(MAKE.stop_bytes(config(1)))
         await world.rest(300)
-        assert not world.unit.moving("1")
-        outcome = await world.driver.outcome()
+        assert not world.unit.is_moving("1")
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "fault"
         assert "another master" in outcome.reason
 
@@ -148,9 +149,9 @@ def test_stop_bytes_overwrite_what_waits_for_a_sync() -> None:
         await world.rest(5)
         link = await world.wire.open()
         link.write(MAKE.stop_bytes(config(1)))
-        with pytest.raises(DriverFault):
-            await world.driver.started()
-        assert not world.unit.motions
+        with pytest.raises(ControllerFault):
+            await world.driver.wait_for_start()
+        assert not world.unit.commanded_motions
 
     run(main)
 
@@ -164,14 +165,14 @@ def test_one_that_is_stopped_before_the_start_of_others_is_not_halted_by_their_s
         for driver in world.drivers:
             await driver.go()
         await world.rest(5)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.drivers[0].set_output(1, True)
-        assert caught.value.refusal.code == "busy"
+        assert caught.value.code == "busy"
         await world.drivers[0].stop(False)
         await world.rest(50)
-        await world.drivers[0].jog("a", JogMove(10_000, 100_000, None))
-        await world.drivers[1].started()
-        await world.drivers[1].outcome()
+        await world.drivers[0].jog_axis("a", JogMove(10_000, 100_000, None))
+        await world.drivers[1].wait_for_start()
+        await world.drivers[1].wait_for_end()
         # It had been told to halt, by a word that may still have waited for that SYNC.
         assert world.units[0].velocity("1") == pytest.approx(10_000, rel=1e-3)
         await world.drivers[0].stop(False)
@@ -192,16 +193,16 @@ def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_
             await world.until(t0_ns + stopped_ms * NS_PER_MS)
             await world.driver.stop(False)
             await world.rest(500)
-            await world.driver.disarm()
+            await world.driver.disarm_move()
             here = (await world.driver.poll()).axes["a"].commanded_counts
             assert 0.05 < abs(world.unit.position("1") - here) <= 0.5
             slow = dict(plan_step([AxisMove("a", here, here + 20, 20.0, 4000.0)]).profiles)
             t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
-            await world.driver.arm(world.driver.lower(slow, StartWay(), None), t0_ns, None)
-            await world.driver.verify()
+            await world.driver.arm_move(world.driver.lower_profiles(slow, StartOptions(), None), t0_ns, None)
+            await world.driver.verify_armed()
             await world.driver.go()
-            await world.driver.started()
-            ended = (await world.driver.outcome()).ended["a"]
-            assert ended.earliest_ns <= world.unit.motions[-1].end_ns <= ended.latest_ns
+            await world.driver.wait_for_start()
+            ended = (await world.driver.wait_for_end()).ended["a"]
+            assert ended.earliest_ns <= world.unit.commanded_motions[-1].end_ns <= ended.latest_ns
 
     run(main)

@@ -9,13 +9,14 @@ from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, config, p
 
 from adapters.cia402 import MAKE
 from adapters.cia402.bus import SHARED
-from adapters.cia402.course import Course
-from adapters.contract import CannotDo, DriverFault, JogMove, Outcome, Setup, Span
-from adapters.toolkit.firing import LoopFirer
+from adapters.cia402.course import SetpointTrajectory
+from adapters.contract import DriverSetup, HostInterval, JogMove, MoveOutcome
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame, encode
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -34,17 +35,17 @@ async def released(world: Drives, moves: dict[int, dict[str, Profile]], after_ms
     t0_ns = world.clock.now_ns() + after_ms * NS_PER_MS
     for number, planned in moves.items():
         driver = world.drivers[number]
-        await driver.arm(driver.lower(planned, StartWay(), None), t0_ns, None)
-        await driver.verify()
+        await driver.arm_move(driver.lower_profiles(planned, StartOptions(), None), t0_ns, None)
+        await driver.verify_armed()
     for number in moves:
         await world.drivers[number].go()
     return t0_ns
 
 
-async def followed(world: Drives, number: int = 0) -> tuple[Span, Outcome]:
+async def followed(world: Drives, number: int = 0) -> tuple[HostInterval, MoveOutcome]:
     driver = world.drivers[number]
-    span = (await driver.started())["a"]
-    return span, await driver.outcome()
+    span = (await driver.wait_for_start())["a"]
+    return span, await driver.wait_for_end()
 
 
 @pytest.mark.parametrize(("mode", "simulate"), [(8, {}), (7, {"modes": [1, 6, 7]})])
@@ -53,7 +54,7 @@ def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, s
         await world.ready()
         for begin, end in ((0, 40_000), (40_000, -3_000), (-3_000, -3_002)):
             profile = smooth(begin, end)["a"]
-            lowered = world.driver.lower({"a": profile}, StartWay(), None)
+            lowered = world.driver.lower_profiles({"a": profile}, StartOptions(), None)
             assert lowered.mode == mode
             t0_ns = await released(world, {0: {"a": profile}})
             off = 0.0
@@ -61,11 +62,11 @@ def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, s
             at_ns = t0_ns
             while at_ns < t0_ns + lowered.durations_s["a"] * NS_PER_S:
                 await world.until(at_ns)
-                planned = begin + profile.at((at_ns - t0_ns) / NS_PER_S).position
+                planned = begin + profile.state_at((at_ns - t0_ns) / NS_PER_S).position
                 off = max(off, abs(world.unit.position("1") - planned))
                 at_ns += NS_PER_MS
             span, outcome = await following
-            motion = world.unit.motions[-1]
+            motion = world.unit.commanded_motions[-1]
             assert outcome.state == "done", outcome.reason
             assert (motion.start_counts, motion.end_counts) == (begin, end)
             assert span.earliest_ns <= motion.start_ns <= span.latest_ns
@@ -73,7 +74,7 @@ def test_a_smooth_move_is_followed_and_its_evidence_holds_the_truth(mode: int, s
             assert abs(motion.end_ns - motion.start_ns - lowered.durations_s["a"] * NS_PER_S) < 400_000
             # Beside what lowering says, the plan runs away from it for as long as the SYNC is late.
             assert off <= lowered.path_error_counts["a"] + profile.peak_velocity * 400e-6
-        assert len(world.unit.motions) == 3
+        assert len(world.unit.commanded_motions) == 3
 
     run(main, simulate=simulate, **SMOOTH)
 
@@ -82,16 +83,16 @@ def test_the_course_begins_and_ends_when_the_plan_does() -> None:
     for end in (2, 3, 100, -2, -77, 40_000):
         for slower in (1.0, 1.37, 20.0):
             profile = smooth(0, end, slower)["a"]
-            course = Course(profile, PERIOD_NS)
-            point = course.points()
-            told = [point(number) for number in range(-1, course.count + 1)]
+            course = SetpointTrajectory(profile, PERIOD_NS)
+            point = course.setpoint_function()
+            told = [point(number) for number in range(-1, course.point_count + 1)]
             assert told[0] == 0 and told[-2:] == [end, end]
-            assert course.count == 1 or (abs(told[1]) >= 1 and abs(told[-3]) < abs(end))
+            assert course.point_count == 1 or (abs(told[1]) >= 1 and abs(told[-3]) < abs(end))
             ways = [after - before for before, after in pairwise(told)]
             assert all(way * end >= 0 for way in ways)
             assert 0 <= course.duration_s - profile.duration_s < PERIOD_NS / NS_PER_S + 1e-9
-            whole = profile.stretched(course.duration_s / profile.duration_s)
-            assert Course(whole, PERIOD_NS).duration_s == pytest.approx(course.duration_s, abs=1e-12)
+            whole = profile.stretch_time(course.duration_s / profile.duration_s)
+            assert SetpointTrajectory(whole, PERIOD_NS).duration_s == pytest.approx(course.duration_s, abs=1e-12)
 
 
 def _is(frame_id: int) -> bytes:
@@ -228,7 +229,7 @@ def test_a_stop_in_a_stream_brakes_by_the_axis_limits_and_leaves_nothing_waiting
         assert all(unit.at_rest() for unit in world.units)
         if when_ms > 0:
             ramp_ns = speed / ACCELERATION * NS_PER_S
-            assert world.unit.motions[-1].end_ns <= stopped_ns + ramp_ns + 2 * NS_PER_MS
+            assert world.unit.commanded_motions[-1].end_ns <= stopped_ns + ramp_ns + 2 * NS_PER_MS
         places = [unit.position("1") for unit in world.units]
         # Whoever sends a SYNC now moves nothing.
         link = await world.wire.open()
@@ -236,7 +237,7 @@ def test_a_stop_in_a_stream_brakes_by_the_axis_limits_and_leaves_nothing_waiting
         await world.rest(50)
         assert [unit.position("1") for unit in world.units] == places
         for driver in world.drivers:
-            await driver.enable(["a"], True)
+            await driver.set_enabled(["a"], True)
         await another(world, 0)
         await another(world, 1)
 
@@ -263,10 +264,10 @@ def test_what_is_disarmed_before_its_stream_does_not_start_with_others() -> None
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
         await world.until(t0_ns - 20 * NS_PER_MS)
-        await world.drivers[0].disarm()
+        await world.drivers[0].disarm_move()
         _, outcome = await followed(world, 1)
         assert outcome.state == "done"
-        assert not world.units[0].motions
+        assert not world.units[0].commanded_motions
         await another(world, 0)
 
     run(main, count=2, **SMOOTH)
@@ -277,22 +278,22 @@ def test_a_trapezoid_and_a_stream_start_by_one_sync_and_other_starts_wait() -> N
         await world.ready()
         driver = world.drivers[1]
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: profiles(0, 40_000)})
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(2, 1000, t0_ns + 300 * NS_PER_MS)
-        assert caught.value.refusal.code == "bus-busy"
-        assert "streams positions" in caught.value.refusal.text
+        assert caught.value.code == "bus-busy"
+        assert "streams positions" in caught.value.text
         ends = await asyncio.gather(followed(world, 0), followed(world, 1))
         assert [outcome.state for _, outcome in ends] == ["done", "done"]
-        starts = [unit.motions[-1].start_ns for unit in world.units[:2]]
+        starts = [unit.commanded_motions[-1].start_ns for unit in world.units[:2]]
         assert abs(starts[0] - starts[1]) < 150_000
         for (span, outcome), unit in zip(ends, world.units, strict=False):
-            assert span.earliest_ns <= unit.motions[-1].start_ns <= span.latest_ns
-            assert outcome.ended["a"].earliest_ns <= unit.motions[-1].end_ns <= outcome.ended["a"].latest_ns
+            assert span.earliest_ns <= unit.commanded_motions[-1].start_ns <= span.latest_ns
+            assert outcome.ended["a"].earliest_ns <= unit.commanded_motions[-1].end_ns <= outcome.ended["a"].latest_ns
         # And the other way round, on the same drives.
         await released(world, {0: profiles(40_000, 0), 1: smooth(40_000, 0)})
         ends = await asyncio.gather(followed(world, 0), followed(world, 1))
         assert [outcome.state for _, outcome in ends] == ["done", "done"]
-        await driver.jog("a", JogMove(10_000, 100_000, 2_000))
+        await driver.jog_axis("a", JogMove(10_000, 100_000, 2_000))
         await world.rest(600)
         assert world.units[1].position("1") == 2_000
 
@@ -303,23 +304,23 @@ def test_a_drive_that_follows_no_positions_is_refused_with_a_remedy() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         assert world.driver.capabilities.orders == (2, 3)
-        with pytest.raises(CannotDo) as caught:
-            world.driver.lower(smooth(0, 40_000), StartWay(), None)
-        assert caught.value.refusal.code == "jerk"
-        assert "6502h" in caught.value.refusal.text and "leave `jerk` out" in caught.value.refusal.remedy
+        with pytest.raises(Refusal) as caught:
+            world.driver.lower_profiles(smooth(0, 40_000), StartOptions(), None)
+        assert caught.value.code == "jerk"
+        assert "6502h" in caught.value.text and "remove `jerk`" in caught.value.remedy
         await world.go()
-        await world.driver.started()
-        assert (await world.driver.outcome()).state == "done"
+        await world.driver.wait_for_start()
+        assert (await world.driver.wait_for_end()).state == "done"
 
     run(main, simulate={"modes": [1, 3, 6]}, **SMOOTH)
 
 
 def test_more_than_the_bus_can_carry_is_refused() -> None:
     async def main(world: Drives) -> None:
-        with pytest.raises(CannotDo) as caught:
-            world.driver.lower(smooth(0, 40_000), StartWay(), None)
-        assert caught.value.refusal.code == "bus-load"
-        assert "period_ms" in caught.value.refusal.remedy
+        with pytest.raises(Refusal) as caught:
+            world.driver.lower_profiles(smooth(0, 40_000), StartOptions(), None)
+        assert caught.value.code == "bus-load"
+        assert "period_ms" in caught.value.remedy
 
     run(main, count=8, options={"period_ms": 3}, **SMOOTH)
 
@@ -327,10 +328,10 @@ def test_more_than_the_bus_can_carry_is_refused() -> None:
 def test_drives_of_one_bus_that_want_another_period_are_refused() -> None:
     async def main(world: Drives) -> None:
         its = config(2, {"period_ms": 20}, **SMOOTH)
-        options = MAKE.options.model_validate(its.options)
-        firer, shared = LoopFirer(world.clock), {SHARED: world.shared[SHARED]}
-        other = MAKE.driver(Setup("d2", its, options, world.clock, world.wire.open, firer, shared))
-        with pytest.raises(DriverFault, match="period_ms"):
+        options = MAKE.options_model.model_validate(its.options)
+        firer, shared = LoopTimedWriter(world.clock), {SHARED: world.shared[SHARED]}
+        other = MAKE.create_driver(DriverSetup("d2", its, options, world.clock, world.wire.open, firer, shared))
+        with pytest.raises(ControllerFault, match="period_ms"):
             await other.connect()
 
     run(main, **SMOOTH)
@@ -340,11 +341,11 @@ def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.wire.links[0].hang_up()
         with pytest.raises(LinkClosed):
-            await world.driver.outcome()
+            await world.driver.wait_for_end()
         await world.rest(400)
         assert world.unit.at_rest()
         assert 0 < world.unit.position("1") < 40_000
@@ -354,7 +355,7 @@ def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
         reading = await world.driver.poll()
         assert any("SYNC lost (8700h)" in fault.text for fault in reading.faults)
         await world.driver.clear_faults()
-        await world.driver.enable(["a"], True)
+        await world.driver.set_enabled(["a"], True)
         await another(world, 0)
 
     run(main, **SMOOTH)
@@ -376,9 +377,9 @@ def test_a_host_that_dies_before_its_start_leaves_nothing_that_a_later_sync_star
         link = await world.wire.open()
         link.write(encode(CanFrame(0x080)))
         await world.rest(50)
-        assert not any(unit.motions for unit in world.units)
+        assert not any(unit.commanded_motions for unit in world.units)
         for number in (0, 1):
-            await world.drivers[number].enable(["a"], True)
+            await world.drivers[number].set_enabled(["a"], True)
             await another(world, number)
 
     run(main, count=2, **SMOOTH)
@@ -394,7 +395,7 @@ def test_what_befalls_a_drive_in_its_stream_is_said(trouble: str) -> None:
         if trouble == "power":
             world.unit.set_power(False)
         elif trouble == "fault":
-            world.unit.station.drive.fault(0x4310, 0)
+            world.unit.station.drive.enter_fault(0x4310, 0)
         elif trouble == "bus-off":
             world.bus._nodes[-1].count(transmit=256)
         else:

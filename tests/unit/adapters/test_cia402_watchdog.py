@@ -3,9 +3,9 @@
 import pytest
 from unit.adapters.cia402_bench import Drives, run
 
-from adapters.contract import DriverFault
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault
 
 WATCHING = {"watchdog_ms": 200}
 
@@ -15,12 +15,12 @@ def test_a_host_that_dies_is_missed_by_drives_that_watch_it(watching: bool) -> N
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 1000 * NS_PER_MS)
         assert not (await world.driver.poll()).faults
         world.wire.links[0].hang_up()
         with pytest.raises(LinkClosed):
-            await world.driver.outcome()
+            await world.driver.wait_for_end()
         await world.rest(400)
         assert world.unit.at_rest() == watching
         if watching:
@@ -29,7 +29,7 @@ def test_a_host_that_dies_is_missed_by_drives_that_watch_it(watching: bool) -> N
             await world.driver.connect()
             await world.driver.configure()
             assert not (await world.driver.poll()).axes["a"].enabled
-            await world.driver.enable(["a"], True)
+            await world.driver.set_enabled(["a"], True)
             assert (await world.driver.poll()).axes["a"].enabled
 
     run(main, options=WATCHING if watching else {})
@@ -39,7 +39,7 @@ def test_a_host_that_leaves_is_not_missed() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=100_000)
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         await world.driver.close()
         await world.rest(4000)
@@ -56,25 +56,25 @@ def test_a_drive_that_was_off_watches_again() -> None:
         world.unit.set_power(True)
         await world.rest(500)
         assert (await world.driver.poll()).restarted
-        assert int(await world.driver.raw("1016:1/32")) == 127 << 16 | 200
+        assert int(await world.driver.send_raw("1016:1/32")) == 127 << 16 | 200
 
     run(main, options=WATCHING)
 
 
 def test_a_drive_that_can_not_watch_is_named() -> None:
     async def main(world: Drives) -> None:
-        with pytest.raises(DriverFault, match="1016h") as caught:
+        with pytest.raises(ControllerFault, match="1016h") as caught:
             await world.driver.connect()
-        assert caught.value.fault.code == "config-mismatch"
-        assert caught.value.fault.remedy
+        assert caught.value.code == "config-mismatch"
+        assert caught.value.remedy
 
     run(main, options=WATCHING, simulate={"without": ["1016"]})
 
 
 def test_a_drive_with_the_number_of_this_computer_is_refused() -> None:
     async def main(world: Drives) -> None:
-        with pytest.raises(DriverFault, match="node number 2") as caught:
+        with pytest.raises(ControllerFault, match="node number 2") as caught:
             await world.driver.connect()
-        assert "host_node" in caught.value.fault.remedy
+        assert "host_node" in caught.value.remedy
 
     run(main, count=2, options={**WATCHING, "host_node": 2})

@@ -7,21 +7,22 @@ from typing import Any, Literal, cast
 
 import pytest
 
-from adapters.contract import CannotDo, Driver, DriverFault, Lowered, Outcome, Span
-from adapters.controller.participant import STOPS_NS, Member, Phase, Ticket
-from adapters.controller.settling import Settled
+from adapters.contract import Driver, HostInterval, Lowered, MoveOutcome
+from adapters.controller.participant import STOP_LEAD_NS, ArmedStep, StepParticipant, StepPhase
+from adapters.controller.settling import SettlingResult
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import Arm, Commit, Disarm, Go
-from orchestrator.model.state import Costs, EventKind
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import ArmRequest, CommitRequest, DisarmRequest, GoRequest
+from orchestrator.model.state import EventKind, StepCosts
 
 T0_NS = 1 * NS_PER_S
 SOONER_NS = NS_PER_S // 10
 NEXT_T0_NS = 2 * NS_PER_S
-COSTS = Costs(arm_ns=1, disarm_ns=1, stop_ns=1)
-DEAF = DriverFault("no-answer", "go was not answered", "")
+COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
+DEAF = ControllerFault("no-answer", "go was not answered", "")
 
 
 class Scripted:
@@ -30,29 +31,29 @@ class Scripted:
     def __init__(self) -> None:
         loop = asyncio.get_running_loop()
         self.told: list[str] = []
-        self.begun: asyncio.Future[Mapping[str, Span]] = loop.create_future()
-        self.rested: asyncio.Future[Outcome] = loop.create_future()
+        self.begun: asyncio.Future[Mapping[str, HostInterval]] = loop.create_future()
+        self.rested: asyncio.Future[MoveOutcome] = loop.create_future()
         self.refuses_go: Exception | None = None
         self.may_go = asyncio.Event()
         self.may_go.set()
         self.sooner = True
         self.closed = False
 
-    def mapping(self) -> None:
+    def clock_mapping(self) -> None:
         return None
 
-    def lower(self, *_: object) -> Lowered:
-        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), sooner=self.sooner)
+    def lower_profiles(self, *_: object) -> Lowered:
+        return Lowered("clock", {"x": 1.0}, {"x": 0.0}, (), 0, COSTS, (), can_advance=self.sooner)
 
-    async def arm(self, *_: object) -> dict[str, int]:
+    async def arm_move(self, *_: object) -> dict[str, int]:
         self.told.append("arm")
         return {}
 
-    async def verify(self) -> None:
+    async def verify_armed(self) -> None:
         self.told.append("verify")
 
-    async def go(self, slack_ns: int = 0, sooner_ns: int = 0) -> None:
-        self.told.append(f"go {sooner_ns} ns sooner" if sooner_ns else "go")
+    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
+        self.told.append(f"go {advance_ns} ns sooner" if advance_ns else "go")
         await self.may_go.wait()
         if self.refuses_go is not None:
             raise self.refuses_go
@@ -62,20 +63,20 @@ class Scripted:
             raise LinkClosed("the port is closed")
         self.told.append("abort" if abort else "stop")
 
-    async def disarm(self) -> None:
+    async def disarm_move(self) -> None:
         if self.closed:
             raise LinkClosed("the port is closed")
         self.told.append("disarm")
 
-    async def started(self) -> Mapping[str, Span]:
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
         return await asyncio.shield(self.begun)
 
-    async def outcome(self) -> Outcome:
+    async def wait_for_end(self) -> MoveOutcome:
         self.told.append("outcome")
         return await asyncio.shield(self.rested)
 
     def begins(self, seen: bool = True) -> None:
-        self.begun.set_result({"x": Span(T0_NS, T0_NS, seen)})
+        self.begun.set_result({"x": HostInterval(T0_NS, T0_NS, seen)})
 
 
 class Desk:
@@ -87,7 +88,7 @@ class Desk:
         self.said: list[str] = []
         self.claimed: dict[str, set[str]] = {}
         self._tasks: list[asyncio.Task[None]] = []
-        self.member = Member(
+        self.member = StepParticipant(
             "c",
             cast(Driver, self.driver),
             clock,
@@ -96,24 +97,26 @@ class Desk:
             emit=self._emit,
             settle=self._settle,
             spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(_survive(coroutine))),
-            lowering=asyncio.Lock(),
+            lowering_lock=asyncio.Lock(),
         )
 
-    def _emit(self, kind: EventKind, text: str, ticket: Ticket, evidence: Mapping[str, object] | None = None) -> None:
+    def _emit(
+        self, kind: EventKind, text: str, ticket: ArmedStep, evidence: Mapping[str, object] | None = None
+    ) -> None:
         self.said.append(kind)
         self.claimed[kind] = set(evidence or ())
 
-    async def _settle(self, _: object) -> Settled:
-        return Settled()
+    async def _settle(self, _: object) -> SettlingResult:
+        return SettlingResult()
 
     async def arm(self, step: int, t0_ns: int) -> None:
-        await self.member.arm(Arm(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
+        await self.member.arm_step(ArmRequest(**self._ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))
 
     async def go(self, step: int = 0, t0_ns: int = T0_NS, sooner_ns: int = 0) -> None:
         """Armed, promised and released, for `sooner_ns` before what it was armed for."""
         await self.arm(step, t0_ns)
-        await self.member.commit(Commit(**self._ref(step), t0_fleet_ns=t0_ns))
-        await self.member.go(Go(**self._ref(step), t0_fleet_ns=t0_ns - sooner_ns, sooner_ns=sooner_ns))
+        await self.member.commit_step(CommitRequest(**self._ref(step), t0_fleet_ns=t0_ns))
+        await self.member.start_step(GoRequest(**self._ref(step), t0_fleet_ns=t0_ns - sooner_ns, advance_ns=sooner_ns))
 
     async def later(self, seconds: float = 0.01) -> None:
         await sleep_ns(self.clock, round(seconds * NS_PER_S))
@@ -138,8 +141,8 @@ def test_go_may_be_for_sooner_than_was_promised() -> None:
     async def body(desk: Desk) -> None:
         await desk.go(sooner_ns=SOONER_NS)
         assert desk.driver.told == ["arm", "verify", f"go {SOONER_NS} ns sooner"]
-        ticket = desk.member.ticket
-        assert ticket is not None and ticket.phase is Phase.RELEASED
+        ticket = desk.member.armed_step
+        assert ticket is not None and ticket.phase is StepPhase.RELEASED
         assert ticket.t0_fleet_ns == ticket.t0_host_ns == T0_NS - SOONER_NS
 
     run(body)
@@ -151,16 +154,16 @@ def test_go_may_be_for_sooner_than_was_promised() -> None:
 def test_who_can_not_begin_sooner_says_so_and_keeps_its_promise(can: bool, sooner_ns: int, code: str) -> None:
     async def body(desk: Desk) -> None:
         desk.driver.sooner = can
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await desk.go(sooner_ns=sooner_ns)
-        assert caught.value.refusal.code == code and desk.driver.told == ["arm", "verify"]
-        await desk.member.go(Go(**desk._ref(0), t0_fleet_ns=T0_NS))
+        assert caught.value.code == code and desk.driver.told == ["arm", "verify"]
+        await desk.member.start_step(GoRequest(**desk._ref(0), t0_fleet_ns=T0_NS))
         assert desk.driver.told[2:] == ["go"]
 
     run(body)
 
 
-@pytest.mark.parametrize(("before_ns", "begun"), [(2 * STOPS_NS, False), (STOPS_NS, True)])
+@pytest.mark.parametrize(("before_ns", "begun"), [(2 * STOP_LEAD_NS, False), (STOP_LEAD_NS, True)])
 def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_it_may_have_begun(
     before_ns: int, begun: bool
 ) -> None:
@@ -168,15 +171,15 @@ def test_who_is_unloaded_while_it_is_told_to_go_is_stopped_at_once_and_says_if_i
         desk.driver.may_go.clear()
         going = asyncio.ensure_future(desk.go())
         await sleep_ns(desk.clock, T0_NS - before_ns)
-        unloading = asyncio.ensure_future(desk.member.disarm(Disarm(**desk._ref(0))))
+        unloading = asyncio.ensure_future(desk.member.disarm_step(DisarmRequest(**desk._ref(0))))
         await desk.later(0.001)
         assert desk.driver.told[2:] == ["go", "stop"] and not unloading.done()
         desk.driver.may_go.set()
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await going
-        assert caught.value.refusal.code == "stopped"
-        assert (await unloading).begun is begun
-        assert desk.driver.told[-1] == "disarm" and desk.member.ticket is None and desk.said == ["disarmed"]
+        assert caught.value.code == "stopped"
+        assert (await unloading).may_have_started is begun
+        assert desk.driver.told[-1] == "disarm" and desk.member.armed_step is None and desk.said == ["disarmed"]
 
     run(body)
 
@@ -186,10 +189,10 @@ def test_what_another_job_has_loaded_is_not_unloaded() -> None:
         await desk.go()
         told = list(desk.driver.told)
         for other in ({"job": "k"}, {"step": 1}):
-            assert (await desk.member.disarm(Disarm(**(desk._ref(0) | other)))).begun is False
-        assert desk.driver.told == told and desk.member.ticket is not None and not desk.said
-        await desk.member.disarm(Disarm(**desk._ref(0)))
-        assert desk.member.ticket is None and desk.driver.told[-1] == "disarm"
+            assert (await desk.member.disarm_step(DisarmRequest(**(desk._ref(0) | other)))).may_have_started is False
+        assert desk.driver.told == told and desk.member.armed_step is not None and not desk.said
+        await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+        assert desk.member.armed_step is None and desk.driver.told[-1] == "disarm"
 
     run(body)
 
@@ -200,10 +203,10 @@ def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_it_is_seen_at_re
         await desk.member.stop(False, "stop")
         desk.driver.begins()
         await desk.later()
-        assert desk.member.following
-        desk.driver.rested.set_result(Outcome("stopped", {}))
+        assert desk.member.is_following
+        desk.driver.rested.set_result(MoveOutcome("stopped", {}))
         await desk.later()
-        assert not desk.member.following and desk.said == ["stopped"]
+        assert not desk.member.is_following and desk.said == ["stopped"]
 
     run(body)
 
@@ -215,9 +218,9 @@ def test_the_end_of_a_step_that_was_stopped_as_it_started_is_not_taken_for_that_
         await desk.arm(1, NEXT_T0_NS)
         desk.driver.begins()
         await desk.later()
-        assert "outcome" not in desk.driver.told and not desk.member.following
-        ticket = desk.member.ticket
-        assert ticket is not None and (ticket.step, ticket.phase) == (1, Phase.ARMED)
+        assert "outcome" not in desk.driver.told and not desk.member.is_following
+        ticket = desk.member.armed_step
+        assert ticket is not None and (ticket.step, ticket.phase) == (1, StepPhase.ARMED)
 
     run(body)
 
@@ -232,9 +235,9 @@ def test_who_was_told_to_go_is_stopped_when_its_link_breaks_or_owes_that(closed:
         desk.driver.begun.set_exception(LinkClosed("the port is closed"))
         await desk.later()
         assert desk.said == ["failed"]
-        assert desk.member.stop_owed is closed and ("stop" in desk.driver.told) is not closed
-        desk.member.lost("the link is lost")
-        assert not desk.member.stop_owed
+        assert desk.member.stop_pending is closed and ("stop" in desk.driver.told) is not closed
+        desk.member.drop_step("the link is lost")
+        assert not desk.member.stop_pending
 
     run(body)
 
@@ -247,15 +250,15 @@ def test_what_did_not_start_is_unloaded(stopped: bool) -> None:
         await desk.go()
         if stopped:
             await desk.member.stop(False, "stop")
-        desk.driver.begun.set_exception(DriverFault("not-started", "axis x has not left its place", ""))
+        desk.driver.begun.set_exception(ControllerFault("not-started", "axis x has not left its place", ""))
         await desk.later()
         assert desk.driver.told[-2:] == ["stop", "disarm"]
-        assert desk.member.ticket is None and desk.said == ["stopped" if stopped else "failed"]
+        assert desk.member.armed_step is None and desk.said == ["stopped" if stopped else "failed"]
 
     run(body)
 
 
-@pytest.mark.parametrize("error", [DEAF, CannotDo("late", "T0 is past")])
+@pytest.mark.parametrize("error", [DEAF, Refusal("late", "T0 is past")])
 def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> None:
     """It may have been released all the same, and only its answer was lost."""
 
@@ -264,7 +267,7 @@ def test_who_can_not_go_is_stopped_before_it_is_unloaded(error: Exception) -> No
         with pytest.raises(type(error)):
             await desk.go()
         assert desk.driver.told == ["arm", "verify", "go", "stop", "disarm"]
-        assert desk.member.ticket is None
+        assert desk.member.armed_step is None
 
     run(body)
 
@@ -276,14 +279,14 @@ def test_who_can_not_be_unloaded_is_owed_a_stop(promised: bool) -> None:
     async def body(desk: Desk) -> None:
         await desk.arm(0, T0_NS)
         if promised:
-            await desk.member.commit(Commit(**desk._ref(0), t0_fleet_ns=T0_NS))
+            await desk.member.commit_step(CommitRequest(**desk._ref(0), t0_fleet_ns=T0_NS))
         desk.driver.closed = True
         with pytest.raises(LinkClosed):
-            await desk.member.disarm(Disarm(**desk._ref(0)))
-        assert desk.member.stop_owed
+            await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+        assert desk.member.stop_pending
         desk.driver.closed = False
-        await desk.member.disarm(Disarm(**desk._ref(0)))
-        assert not desk.member.stop_owed and desk.driver.told[-1] == "disarm"
+        await desk.member.disarm_step(DisarmRequest(**desk._ref(0)))
+        assert not desk.member.stop_pending and desk.driver.told[-1] == "disarm"
 
     run(body)
 
@@ -302,7 +305,7 @@ def test_what_did_not_start_is_not_unloaded_while_the_next_step_is_armed() -> No
         desk.driver.arm = arm
         arming = asyncio.ensure_future(desk.arm(1, NEXT_T0_NS))
         await desk.later()
-        desk.driver.begun.set_exception(DriverFault("not-started", "the program was halted", ""))
+        desk.driver.begun.set_exception(ControllerFault("not-started", "the program was halted", ""))
         await desk.later()
         loaded.set_result(None)
         await arming
@@ -321,7 +324,7 @@ def test_a_start_that_nobody_has_seen_is_claimed_only_once_the_move_is_done(
         await desk.go()
         desk.driver.begins(seen)
         await desk.later()
-        desk.driver.rested.set_result(Outcome(state, {"x": Span(NEXT_T0_NS, NEXT_T0_NS)}))
+        desk.driver.rested.set_result(MoveOutcome(state, {"x": HostInterval(NEXT_T0_NS, NEXT_T0_NS)}))
         await desk.later()
         assert desk.claimed["started"] == ({"x"} if seen else set())
         assert desk.claimed[kind] == ({"x"} if seen or state == "done" else set())

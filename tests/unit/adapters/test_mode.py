@@ -10,15 +10,16 @@ from typing import Any, cast
 
 import pytest
 
-from adapters.contract import AxisReading, CannotDo, Driver, DriverFault, Reading
-from adapters.controller.context import Seat
-from adapters.controller.jogging import Jogging
-from adapters.controller.publisher import Presenter
-from adapters.controller.status import STARTING, Condition
-from adapters.controller.supervisor import Unit
+from adapters.contract import AxisReading, ControllerReading, Driver
+from adapters.controller.context import ControllerContext
+from adapters.controller.jogging import JogControl
+from adapters.controller.publisher import StatePublisher
+from adapters.controller.status import STARTING, ControllerStatus
+from adapters.controller.supervisor import ControllerSupervisor
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import JogRequest
 
@@ -48,8 +49,8 @@ def nothing(*_: object, **__: object) -> None:
 def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
     read_ns: int, now_ns: int, following: bool, mode: str
 ) -> None:
-    reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
-    condition = Condition(CONFIG, reading=reading, faults=[], stopped_ns=STOPPED_NS, stopping_until_ns=UNTIL_NS)
+    reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
+    condition = ControllerStatus(CONFIG, reading=reading, faults=[], stopped_ns=STOPPED_NS, stopping_until_ns=UNTIL_NS)
     absent: Any = None
     seat = SimpleNamespace(
         controller="c",
@@ -60,38 +61,44 @@ def test_who_was_told_to_stop_rests_only_when_somebody_has_seen_it(
         clock=SimpleNamespace(now_ns=lambda: now_ns),
         instance="i",
     )
-    presenter = Presenter(cast(Seat, seat), absent, absent, condition, lambda: None, lambda: following, dict)
-    assert presenter.mode() == mode
+    presenter = StatePublisher(
+        cast(ControllerContext, seat), absent, absent, condition, lambda: None, lambda: following, dict
+    )
+    assert presenter.current_mode() == mode
 
 
 def test_who_jogged_rests_only_when_somebody_has_seen_it() -> None:
     """The order to begin may have been on its way when the key was let go."""
 
     async def main(clock: VirtualClock) -> None:
-        condition = Condition(CONFIG, faults=[])
+        condition = ControllerStatus(CONFIG, faults=[])
 
         async def takes(span_ns: int, *_: object) -> None:
             await sleep_ns(clock, span_ns)
 
         driver = SimpleNamespace(
             capabilities=SimpleNamespace(costs=SimpleNamespace(stop_ns=NS_PER_S)),
-            jog=partial(takes, NS_PER_S // 10),
+            jog_axis=partial(takes, NS_PER_S // 10),
             stop_axes=partial(takes, 0),
         )
         absent: Any = None
         seat = SimpleNamespace(
             controller="c", config=CONFIG, driver=driver, bus=absent, keys=absent, clock=clock, instance="i"
         )
-        presenter = Presenter(cast(Seat, seat), absent, absent, condition, lambda: None, lambda: False, dict)
+        presenter = StatePublisher(
+            cast(ControllerContext, seat), absent, absent, condition, lambda: None, lambda: False, dict
+        )
         condition.referenced["x"] = True
-        condition.reading = Reading(clock.now_ns(), {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)})
-        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        condition.reading = ControllerReading(
+            clock.now_ns(), {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)}
+        )
+        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
         velocities = {"x": 0.2}
-        request = JogRequest(request_id="r", actor="a", holder="hand-a", seq=1, velocities=velocities, valid_ms=50)
-        await jogging.jog(request)
-        assert presenter.mode() == "stopping"
+        request = JogRequest(request_id="r", actor="a", holder="manual-a", seq=1, velocities=velocities, valid_ms=50)
+        await jogging.apply_request(request)
+        assert presenter.current_mode() == "stopping"
         condition.reading = replace(condition.reading, at_ns=clock.now_ns())
-        assert presenter.mode() == "idle"
+        assert presenter.current_mode() == "idle"
 
     run_virtual(main)
 
@@ -109,11 +116,11 @@ class Slow:
         self._clock = clock
         self._refuses = refuses
 
-    async def jog(self, axis: str, _: object) -> None:
+    async def jog_axis(self, axis: str, _: object) -> None:
         await sleep_ns(self._clock, 150 * NS_PER_MS)
         self.ordered.append(axis)
         if axis == self._refuses:
-            raise CannotDo("moving", "it moves", "")
+            raise Refusal("moving", "it moves", "")
 
     async def stop_axes(self, axes: list[str]) -> None:
         self.ordered += [f"stop {axis}" for axis in axes]
@@ -132,10 +139,12 @@ def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
 ) -> None:
     async def main(clock: VirtualClock) -> None:
         at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
-        condition = Condition(TWO, faults=[], reading=Reading(clock.now_ns(), {"x": at_rest, "y": at_rest}))
+        condition = ControllerStatus(
+            TWO, faults=[], reading=ControllerReading(clock.now_ns(), {"x": at_rest, "y": at_rest})
+        )
         condition.referenced = {"x": True, "y": True}
         driver = Slow(clock, refuses)
-        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
 
         def request(seq: int, renew: bool) -> JogRequest:
             velocities = {"x": 0.2, "y": 0.2}
@@ -143,14 +152,14 @@ def test_orders_of_several_axes_that_take_long_are_renewed_on_their_way(
                 request_id="r", actor="a", holder="h", seq=seq, velocities=velocities, renew=renew, valid_ms=100
             )
 
-        order = asyncio.ensure_future(jogging.jog(request(1, renew=False)))
+        order = asyncio.ensure_future(jogging.apply_request(request(1, renew=False)))
         for seq in range(2, 7):
             await sleep_ns(clock, 60 * NS_PER_MS)
             if renewed and not order.done():
-                await jogging.jog(request(seq, renew=True))
+                await jogging.apply_request(request(seq, renew=True))
         (refused,) = await asyncio.gather(order, return_exceptions=True)
         assert driver.ordered == told
-        assert isinstance(refused, CannotDo) == bool(refuses)
+        assert isinstance(refused, Refusal) == bool(refuses)
         assert condition.jogging == (set[str]() if refuses or not renewed else {"x", "y"})
 
     run_virtual(main)
@@ -161,14 +170,16 @@ def test_who_is_said_to_have_come_to_rest_by_itself_is_told_to_all_the_same() ->
 
     async def main(clock: VirtualClock) -> None:
         at_rest = AxisReading(0, 0.0, 0.0, moving=False, enabled=True)
-        condition = Condition(CONFIG, faults=[], reading=Reading(clock.now_ns(), {"x": at_rest}))
+        condition = ControllerStatus(CONFIG, faults=[], reading=ControllerReading(clock.now_ns(), {"x": at_rest}))
         condition.referenced["x"] = True
         driver = Slow(clock)
-        jogging = Jogging(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
         velocities = {"x": 0.2}
-        await jogging.jog(JogRequest(request_id="r", actor="a", holder="h", seq=1, velocities=velocities, valid_ms=200))
+        await jogging.apply_request(
+            JogRequest(request_id="r", actor="a", holder="h", seq=1, velocities=velocities, valid_ms=200)
+        )
         await sleep_ns(clock, 1)
-        jogging.look(Reading(clock.now_ns() + NS_PER_S, {"x": at_rest}))
+        jogging.handle_reading(ControllerReading(clock.now_ns() + NS_PER_S, {"x": at_rest}))
         await sleep_ns(clock, 1)
         assert driver.ordered == ["x", "stop x"]
         assert condition.stop_unseen and not condition.jogging
@@ -187,15 +198,15 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
             beats.append(clock.now_ns())
             presenter.published_ns = clock.now_ns()
 
-        presenter = SimpleNamespace(published_ns=0, mode=lambda: "moving", publish=publish)
+        presenter = SimpleNamespace(published_ns=0, current_mode=lambda: "moving", publish_state=publish)
         unit = SimpleNamespace(
             _config=CONFIG,
             _clock=clock,
-            _presenter=presenter,
-            _member=SimpleNamespace(ticket=SimpleNamespace(t0_host_ns=clock.now_ns() + t0_ns)),
+            _publisher=presenter,
+            _participant=SimpleNamespace(armed_step=SimpleNamespace(t0_host_ns=clock.now_ns() + t0_ns)),
         )
         began_ns = presenter.published_ns = clock.now_ns()
-        beating = asyncio.ensure_future(Unit._beat(cast(Unit, unit)))
+        beating = asyncio.ensure_future(ControllerSupervisor._publish_heartbeats(cast(ControllerSupervisor, unit)))
         await sleep_ns(clock, 2 * t0_ns)
         beating.cancel()
         return [at_ns - began_ns for at_ns in (began_ns, *beats)]
@@ -210,9 +221,9 @@ def test_a_heartbeat_goes_on_until_t0_and_not_beyond_it_unseen() -> None:
     [
         (900, False, "", True),
         (1001, True, "", True),
-        (1001, False, "following", True),
-        (1001, False, "loading", True),
-        (1001, False, "stop_owed", True),
+        (1001, False, "is_following", True),
+        (1001, False, "is_loading", True),
+        (1001, False, "stop_pending", True),
         (1001, False, "", False),
     ],
 )
@@ -220,20 +231,20 @@ def test_a_stop_is_owed_when_the_link_breaks_before_anybody_has_seen_what_it_did
     read_ns: int, moving: bool, member: str, owed: bool
 ) -> None:
     """What it was told may have been lost with the link; until it is seen again it may move."""
-    reading = Reading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
-    condition = Condition(CONFIG, reading=reading, stopped_ns=STOPPED_NS, may_move=False)
-    parts = ("following", "loading", "stop_owed")
+    reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
+    condition = ControllerStatus(CONFIG, reading=reading, stopped_ns=STOPPED_NS, may_move=False)
+    parts = ("is_following", "is_loading", "stop_pending")
     unit = SimpleNamespace(
         controller="c",
-        _condition=condition,
-        _member=SimpleNamespace(ticket=None, lost=nothing, **{each: each == member for each in parts}),
-        _jogging=SimpleNamespace(ended_all=nothing),
-        _presenter=SimpleNamespace(emit=nothing),
+        _status=condition,
+        _participant=SimpleNamespace(armed_step=None, drop_step=nothing, **{each: each == member for each in parts}),
+        _jogging=SimpleNamespace(drop_all=nothing),
+        _publisher=SimpleNamespace(emit_event=nothing),
         _log=SimpleNamespace(warning=nothing),
-        _stop_owed=False,
+        _stop_pending=False,
     )
-    Unit._offline(cast(Unit, unit), STARTING)
-    assert unit._stop_owed is owed
+    ControllerSupervisor._handle_offline(cast(ControllerSupervisor, unit), STARTING)
+    assert unit._stop_pending is owed
     assert condition.may_move is owed
 
 
@@ -242,7 +253,7 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
     told: list[str] = []
 
     class Broken:
-        async def stop_first(self) -> bool:
+        async def stop_before_connect(self) -> bool:
             told.append("stop")
             return True
 
@@ -253,27 +264,27 @@ def test_a_stop_that_is_owed_is_given_again_until_somebody_answers_behind_it() -
         async def connect(self) -> None:
             told.append("connect")
             if told.count("connect") < 3:
-                raise DriverFault("no-answer", "nothing came", "")
+                raise ControllerFault("no-answer", "nothing came", "")
 
     async def loaded() -> None:
         return None
 
     async def main(_: VirtualClock) -> None:
         unit = SimpleNamespace(
-            _stop_owed=True,
+            _stop_pending=True,
             _driver=Broken(),
-            _condition=Condition(CONFIG),
-            _member=SimpleNamespace(loaded=loaded),
-            _presenter=SimpleNamespace(emit=lambda kind, _: told.append(kind)),
+            _status=ControllerStatus(CONFIG),
+            _participant=SimpleNamespace(wait_until_loaded=loaded),
+            _publisher=SimpleNamespace(emit_event=lambda kind, _: told.append(kind)),
         )
-        unit._pay_owed_stop = partial(Unit._pay_owed_stop, cast(Unit, unit))
+        unit._send_pending_stop = partial(ControllerSupervisor._send_pending_stop, cast(ControllerSupervisor, unit))
         for _ in range(2):
-            with pytest.raises(DriverFault):
-                await Unit._reach(cast(Unit, unit))
-            assert unit._stop_owed
+            with pytest.raises(ControllerFault):
+                await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
+            assert unit._stop_pending
         for _ in range(2):
-            await Unit._reach(cast(Unit, unit))
-            assert not unit._stop_owed
+            await ControllerSupervisor._connect(cast(ControllerSupervisor, unit))
+            assert not unit._stop_pending
 
     run_virtual(main)
     assert told == [*["stop", "connect"] * 3, "stop again", "stopped", "connect"]
@@ -286,23 +297,23 @@ def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> N
     taken: list[int] = []
 
     async def main(clock: VirtualClock) -> None:
-        async def poll() -> Reading:
+        async def poll() -> ControllerReading:
             await sleep_ns(clock, 100 * NS_PER_MS)
-            return Reading(clock.now_ns(), {})
+            return ControllerReading(clock.now_ns(), {})
 
         unit = SimpleNamespace(
             _driver=SimpleNamespace(poll=poll),
-            _met=lost_ms > 0,
-            _take=lambda reading: taken.append(reading.at_ns),
-            _presenter=SimpleNamespace(publish=nothing),
+            _is_connected=lost_ms > 0,
+            _handle_reading=lambda reading: taken.append(reading.at_ns),
+            _publisher=SimpleNamespace(publish_state=nothing),
         )
-        refreshing = asyncio.ensure_future(Unit.refresh(cast(Unit, unit)))
+        refreshing = asyncio.ensure_future(ControllerSupervisor.poll_and_publish(cast(ControllerSupervisor, unit)))
         await sleep_ns(clock, lost_ms * NS_PER_MS)
-        unit._met = False
-        with pytest.raises(LinkClosed, match="still to be met"):
+        unit._is_connected = False
+        with pytest.raises(LinkClosed, match="not connected yet"):
             await refreshing
-        unit._met = True
-        await Unit.refresh(cast(Unit, unit))
+        unit._is_connected = True
+        await ControllerSupervisor.poll_and_publish(cast(ControllerSupervisor, unit))
 
     run_virtual(main)
     assert len(taken) == 1
@@ -310,8 +321,8 @@ def test_who_is_asked_while_it_is_being_met_is_not_online_yet(lost_ms: int) -> N
 
 @pytest.mark.parametrize(("by_hand", "until_ns"), [("", 7), ("jogging", None), ("homing", None)])
 def test_who_is_moved_by_hand_is_polled_whatever_else_is_asked_of_it(by_hand: str, until_ns: int | None) -> None:
-    condition = Condition(CONFIG, faults=[])
+    condition = ControllerStatus(CONFIG, faults=[])
     if by_hand:
         getattr(condition, by_hand).add("x")
-    unit = SimpleNamespace(_condition=condition, _member=SimpleNamespace(quiet_until_ns=lambda: 7))
-    assert Unit._quiet_until_ns(cast(Unit, unit)) == until_ns
+    unit = SimpleNamespace(_status=condition, _participant=SimpleNamespace(quiet_until_ns=lambda: 7))
+    assert ControllerSupervisor._quiet_until_ns(cast(ControllerSupervisor, unit)) == until_ns

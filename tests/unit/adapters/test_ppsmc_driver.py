@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from unit.adapters.ppsmc_bench import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault, Restarted
+from adapters.contract import ControllerRestarted
 from adapters.ppsmc import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 
 READINGS: list[dict[str, Any]] = [
     {},
@@ -131,9 +132,9 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(when_ms: int, abort: boo
 
 
 async def _follow(bench: Bench) -> None:
-    with contextlib.suppress(DriverFault, CannotDo):
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "stopped"
+    with contextlib.suppress(ControllerFault, Refusal):
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "stopped"
 
 
 def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
@@ -142,7 +143,7 @@ def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
         # Commands of this connection are held back by the unit itself from now on (L2787).
         bench.wire.links[0].write(b"sleep20\r\n")
         other = await bench.somebody("ffast1:20000", "goto1:80", wait_ms=300)
-        assert bench.unit.moving("1") and other.raw
+        assert bench.unit.is_moving("1") and other.raw
         asking = asyncio.get_running_loop().create_task(bench.driver.poll())
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
         began_ns = bench.clock.now_ns()
@@ -150,9 +151,9 @@ def test_a_stop_does_not_wait_behind_what_blocks_the_first_connection() -> None:
         assert bench.clock.now_ns() == began_ns
         await bench.rest(3 * NS_PER_S)
         assert 0 < bench.steps("x") < 80_000
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await asking
-        assert caught.value.fault.code == "no-answer" and caught.value.fault.remedy
+        assert caught.value.code == "no-answer" and caught.value.remedy
         await sleep_ns(bench.clock, 25 * NS_PER_S)
         await bench.driver.poll()
 
@@ -172,19 +173,19 @@ def test_a_unit_that_somebody_blocks_says_so_and_a_reset_releases_it(stage: str)
             await bench.until(t0_ns + 300 * NS_PER_MS)
         await bench.somebody("block")
         if stage == "armed":
-            with pytest.raises(CannotDo) as refused:
-                await bench.driver.verify()
-            assert refused.value.refusal.code == "blocked" and "unblock" in refused.value.refusal.remedy
-            await bench.driver.disarm()
+            with pytest.raises(Refusal) as refused:
+                await bench.driver.verify_armed()
+            assert refused.value.code == "blocked" and "unblock" in refused.value.remedy
+            await bench.driver.disarm_move()
         if following is not None:
             _, outcome = await following
             assert outcome.state == "fault" and "not at its target" in outcome.reason
         reading = await bench.driver.poll()
         assert [fault.code for fault in reading.faults] == ["blocked"]
         assert reading.axes["x"].commanded_counts == bench.steps("x")
-        lowered = bench.driver.lower({}, StartWay(), None)
-        with pytest.raises((CannotDo, DriverFault), match="blocked"):
-            await bench.driver.arm(lowered, bench.clock.now_ns() + NS_PER_S, None)
+        lowered = bench.driver.lower_profiles({}, StartOptions(), None)
+        with pytest.raises((Refusal, ControllerFault), match="blocked"):
+            await bench.driver.arm_move(lowered, bench.clock.now_ns() + NS_PER_S, None)
         # Reached again while it is blocked, it is not taken for another make, and not released by that.
         await bench.driver.close()
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
@@ -207,7 +208,7 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
             await bench.start({"x": 90_000})
         elif stage == "moving":
             t0_ns, _ = await bench.start({"x": 90_000})
-            await bench.driver.started()
+            await bench.driver.wait_for_start()
             await bench.until(t0_ns + 200 * NS_PER_MS)
         if restart == "power":
             bench.unit.set_power(False)
@@ -216,16 +217,16 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
         else:
             await bench.somebody(restart)
         if stage == "moving":
-            with contextlib.suppress(DriverFault, LinkClosed):
-                assert (await bench.driver.outcome()).state == "fault"
+            with contextlib.suppress(ControllerFault, LinkClosed):
+                assert (await bench.driver.wait_for_end()).state == "fault"
         noticed = False
         for _ in range(12):
             try:
                 noticed = noticed or (await bench.driver.poll()).restarted
                 break
-            except (DriverFault, LinkClosed, LinkRefused):
+            except (ControllerFault, LinkClosed, LinkRefused):
                 await sleep_ns(bench.clock, NS_PER_S)
-                with contextlib.suppress(DriverFault, LinkClosed, LinkRefused):
+                with contextlib.suppress(ControllerFault, LinkClosed, LinkRefused):
                     await bench.reached_again_quietly()
         assert noticed
         before = len(bench.moved())
@@ -246,7 +247,7 @@ def test_a_restart_is_told_before_the_unit_is_compared_with_the_fleet_file_again
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         bench.unit.set_power(True)
         began_ns = bench.clock.now_ns()
-        with pytest.raises(Restarted):
+        with pytest.raises(ControllerRestarted):
             await bench.driver.poll()
         assert bench.clock.now_ns() - began_ns < 300 * NS_PER_MS
         await bench.reached_again_quietly()
@@ -294,8 +295,8 @@ def test_garbage_silence_and_mixed_replies_are_never_taken_for_an_answer() -> No
         for _ in range(60):
             try:
                 reading = await bench.driver.poll()
-            except DriverFault as error:
-                assert error.fault.code in ("no-answer", "garbage") and error.fault.remedy
+            except ControllerFault as error:
+                assert error.code in ("no-answer", "garbage") and error.remedy
                 wrong += 1
             else:
                 right += 1
@@ -329,13 +330,13 @@ def test_outputs_and_inputs_are_read_and_written() -> None:
         await bench.ready()
         await bench.somebody("dout2")
         await bench.driver.set_output(5, True)
-        assert bench.unit.output(5) and bench.unit.output(1)
+        assert bench.unit.output_level(5) and bench.unit.output_level(1)
         bench.unit.set_input(3, True)
         reading = await bench.driver.poll()
         assert reading.outputs[5] and reading.outputs[1] and not reading.outputs[0]
         assert reading.inputs[3] and not reading.inputs[2]
         await bench.driver.set_output(5, False)
-        assert not bench.unit.output(5) and bench.unit.output(1)
+        assert not bench.unit.output_level(5) and bench.unit.output_level(1)
 
     run(case, config=controller(**points))
 
@@ -343,13 +344,13 @@ def test_outputs_and_inputs_are_read_and_written() -> None:
 def test_raw_lines_are_answered() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        assert await bench.driver.raw("?p1") == "1:0;"
-        assert await bench.driver.raw("?err") == "1:0\n2:0\n3:0"
-        assert await bench.driver.raw("us5") == ""
+        assert await bench.driver.send_raw("?p1") == "1:0;"
+        assert await bench.driver.send_raw("?err") == "1:0\n2:0\n3:0"
+        assert await bench.driver.send_raw("us5") == ""
         assert not (await bench.driver.poll()).restarted
-        await bench.driver.raw("txdel1")
+        await bench.driver.send_raw("txdel1")
         await bench.driver.poll()
-        with pytest.raises(CannotDo):
-            await bench.driver.raw("goto1:5\rgoto2:5")
+        with pytest.raises(Refusal):
+            await bench.driver.send_raw("goto1:5\rgoto2:5")
 
     run(case)

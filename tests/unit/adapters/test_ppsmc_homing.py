@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from unit.adapters.ppsmc_bench import Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.errors import ControllerFault, Refusal
 
 SWITCHES: dict[str, Any] = {
     "encoder": True,
@@ -47,14 +47,14 @@ def test_each_way_ends_at_its_place_and_knows_it(method: str, direction: str) ->
         start = -10_000 if (method, direction) in (("org", "positive"), ("index", "positive")) else 700
         assert (await bench.move({"x": start, "z": start})).state == "done"
         found: list[str] = []
-        assert await bench.driver.home(["x", "z"], found.append) == {}
+        assert await bench.driver.home_axes(["x", "z"], found.append) == {}
         assert sorted(found) == ["x", "z"]
         reading = await bench.driver.poll()
         for name, motor in (("x", "1"), ("z", "3")):
-            axis = bench.unit.axis(motor)
+            axis = bench.unit.find_axis(motor)
             assert reading.axes[name].commanded_counts == 0 == axis.steps
             assert axis.steps - axis.origin == PLACES[method, direction]
-            assert not reading.axes[name].lost
+            assert not reading.axes[name].position_lost
         assert not reading.faults
         away = -1500 if PLACES[method, direction] > 0 else 1500
         assert (await bench.move({"x": away})).state == "done"
@@ -65,10 +65,10 @@ def test_each_way_ends_at_its_place_and_knows_it(method: str, direction: str) ->
 def test_an_installed_reference_is_taken_as_found_without_motion() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        assert await bench.driver.home(["x"], lambda _: None) == {}
+        assert await bench.driver.home_axes(["x"], lambda _: None) == {}
         before = len(bench.moved())
         found: list[str] = []
-        assert await bench.driver.home(["x"], found.append) == {}
+        assert await bench.driver.home_axes(["x"], found.append) == {}
         assert found == ["x"] and len(bench.moved()) == before
 
     run(case, simulate=SWITCHES, config=config("org"))
@@ -78,9 +78,9 @@ def test_without_its_switch_an_axis_fails_and_the_rest_is_done() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         found: list[str] = []
-        failed = await bench.driver.home(["x", "y", "z"], found.append)
+        failed = await bench.driver.home_axes(["x", "y", "z"], found.append)
         assert list(failed) == ["y"] and found == ["x", "z"]
-        assert "limit switch" in failed["y"].refusal.text and failed["y"].refusal.remedy
+        assert "limit switch" in failed["y"].text and failed["y"].remedy
 
     simulate = {**SWITCHES, "org_steps": {"1": (-6000, -4000), "3": (-6000, -4000)}}
     run(case, simulate=simulate, config=config("default"))
@@ -90,29 +90,29 @@ def test_without_its_switch_an_axis_fails_and_the_rest_is_done() -> None:
 def test_a_limit_stop_loses_the_reference_and_homing_brings_it_back(clears: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        assert await bench.driver.home(["x"], lambda _: None) == {}
-        assert not (await bench.driver.poll()).axes["x"].lost
+        assert await bench.driver.home_axes(["x"], lambda _: None) == {}
+        assert not (await bench.driver.poll()).axes["x"].position_lost
         await bench.start({"x": 60_000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "limit switch" in outcome.reason
         reading = await bench.driver.poll()
-        assert reading.axes["x"].lost and reading.axes["x"].limit == "forward"
+        assert reading.axes["x"].position_lost and reading.axes["x"].limit == "forward"
         assert [fault.code for fault in reading.faults] == ["limit-error"]
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await bench.arm({"x": reading.axes["x"].commanded_counts + 100})
-        assert caught.value.refusal.code == "limit"
-        await bench.driver.disarm()
+        assert caught.value.code == "limit"
+        await bench.driver.disarm_move()
         await bench.driver.clear_faults()
         # Off the switch, though it is active when the move begins (tbg:iel).
         assert (await bench.move({"x": reading.axes["x"].commanded_counts - 5000})).state == "done"
         if bench.config.axes["x"].homing.method == "org" and not clears:
-            with pytest.raises(CannotDo) as refused:
-                await bench.driver.home(["x"], lambda _: None)
-            assert refused.value.refusal.code == "already-referenced"
+            with pytest.raises(Refusal) as refused:
+                await bench.driver.home_axes(["x"], lambda _: None)
+            assert refused.value.code == "already-referenced"
             return
-        assert await bench.driver.home(["x"], lambda _: None) == {}
-        assert not (await bench.driver.poll()).axes["x"].lost
+        assert await bench.driver.home_axes(["x"], lambda _: None) == {}
+        assert not (await bench.driver.poll()).axes["x"].position_lost
 
     for method in ("org", "switch"):
         run(case, simulate={**SWITCHES, "limit_clears_reference": clears}, config=config(method))
@@ -124,7 +124,7 @@ def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         found: list[str] = []
-        homing = asyncio.get_running_loop().create_task(bench.driver.home(["x"], found.append))
+        homing = asyncio.get_running_loop().create_task(bench.driver.home_axes(["x"], found.append))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         if how == "power":
             bench.unit.set_power(False)
@@ -135,7 +135,7 @@ def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
             homing.cancel()
         else:
             await bench.driver.stop(how == "abort")
-        with contextlib.suppress(CannotDo, DriverFault, LinkClosed, LinkRefused, asyncio.CancelledError):
+        with contextlib.suppress(Refusal, ControllerFault, LinkClosed, LinkRefused, asyncio.CancelledError):
             assert list(await homing) == ["x"]
         assert not found
         await sleep_ns(bench.clock, NS_PER_S)
@@ -143,7 +143,7 @@ def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
         if how == "power":
             await bench.reached_again()
         await bench.driver.clear_faults()
-        assert await bench.driver.home(["x"], found.append) == {} and found == ["x"]
+        assert await bench.driver.home_axes(["x"], found.append) == {} and found == ["x"]
 
     run(case, simulate=SWITCHES, config=config("default", speed=1))
 
@@ -151,14 +151,14 @@ def test_what_is_interrupted_is_no_success(how: str, after_ms: int) -> None:
 def test_a_moving_unit_and_a_disabled_axis_are_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.enable(["x"], False)
-        for call in (bench.driver.home(["x"], lambda _: None), bench.arm({"x": 100})):
-            with pytest.raises(CannotDo, match="enable"):
+        await bench.driver.set_enabled(["x"], False)
+        for call in (bench.driver.home_axes(["x"], lambda _: None), bench.arm({"x": 100})):
+            with pytest.raises(Refusal, match="enable"):
                 await call
-        await bench.driver.enable(["x"], True)
+        await bench.driver.set_enabled(["x"], True)
         await bench.somebody("move3:5")
-        with pytest.raises(CannotDo, match="moves"):
-            await bench.driver.home(["x"], lambda _: None)
+        with pytest.raises(Refusal, match="moves"):
+            await bench.driver.home_axes(["x"], lambda _: None)
         await bench.rest()
 
     run(case, simulate=SWITCHES)

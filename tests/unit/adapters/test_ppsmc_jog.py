@@ -7,8 +7,9 @@ from random import Random
 import pytest
 from unit.adapters.ppsmc_bench import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 
 
 @pytest.mark.parametrize("end", [None, 20_000])
@@ -16,7 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp_or_at_its_end(sign: int, end: int | None) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("y", JogMove(sign * 8000.0, 40_000.0, None if end is None else sign * end))
+        await bench.driver.jog_axis("y", JogMove(sign * 8000.0, 40_000.0, None if end is None else sign * end))
         fastest = 0.0
         for _ in range(150):
             await sleep_ns(bench.clock, 10 * NS_PER_MS)
@@ -29,9 +30,9 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp_or_at_its_end(sign: int
         else:
             await bench.rest()
             assert bench.steps("y") == sign * end
-            with pytest.raises(CannotDo) as caught:
-                await bench.driver.jog("y", JogMove(sign * 8000.0, 40_000.0, sign * end))
-            assert caught.value.refusal.code == "at-end"
+            with pytest.raises(Refusal) as caught:
+                await bench.driver.jog_axis("y", JogMove(sign * 8000.0, 40_000.0, sign * end))
+            assert caught.value.code == "at-end"
 
     run(case)
 
@@ -39,18 +40,20 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp_or_at_its_end(sign: int
 def test_axes_jog_beside_each_other_change_and_stop_alone() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", JogMove(5000.0, 40_000.0, 30_000))
-        await bench.driver.jog("y", JogMove(-3000.0, 40_000.0, None))
-        assert bench.unit.moving("1") and bench.unit.moving("2")
-        await bench.driver.jog("y", JogMove(3000.0, 40_000.0, None))  # with the same speeds: only y stops in between
+        await bench.driver.jog_axis("x", JogMove(5000.0, 40_000.0, 30_000))
+        await bench.driver.jog_axis("y", JogMove(-3000.0, 40_000.0, None))
+        assert bench.unit.is_moving("1") and bench.unit.is_moving("2")
+        await bench.driver.jog_axis(
+            "y", JogMove(3000.0, 40_000.0, None)
+        )  # with the same speeds: only y stops in between
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
-        assert bench.unit.velocity("2") > 0 and bench.unit.moving("1")
+        assert bench.unit.velocity("2") > 0 and bench.unit.is_moving("1")
         before = len(bench.moved())
-        await bench.driver.jog("y", JogMove(3000.0, 40_000.0, None))
+        await bench.driver.jog_axis("y", JogMove(3000.0, 40_000.0, None))
         assert len(bench.moved()) == before
         await bench.driver.stop_axes(["y"])
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
-        assert not bench.unit.moving("2") and bench.unit.moving("1")
+        assert not bench.unit.is_moving("2") and bench.unit.is_moving("1")
         await bench.rest(20 * NS_PER_S)
         assert bench.steps("x") == 30_000
         await bench.driver.poll()
@@ -70,9 +73,9 @@ def test_axes_jog_beside_each_other_change_and_stop_alone() -> None:
 def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo) as caught:
-            await bench.driver.jog("x", move)
-        assert caught.value.refusal.code == code and caught.value.refusal.remedy
+        with pytest.raises(Refusal) as caught:
+            await bench.driver.jog_axis("x", move)
+        assert caught.value.code == code and caught.value.remedy
         assert not bench.moved()
 
     run(case)
@@ -83,22 +86,22 @@ def test_another_motion_a_program_a_block_and_the_input_gate_are_refused() -> No
         await bench.ready()
         move = JogMove(5000.0, 40_000.0, None)
         await bench.somebody("move1:30")
-        with pytest.raises(CannotDo, match="moving"):
-            await bench.driver.jog("x", move)
+        with pytest.raises(Refusal, match="moving"):
+            await bench.driver.jog_axis("x", move)
         await bench.rest(60 * NS_PER_S)
         await bench.somebody("clr", "in0.1", "nl", "end", "start:")
-        with pytest.raises(CannotDo, match="program"):
-            await bench.driver.jog("x", move)
+        with pytest.raises(Refusal, match="program"):
+            await bench.driver.jog_axis("x", move)
         await bench.somebody("q", "emips1:1")
-        with pytest.raises(CannotDo, match="does not move") as caught:
-            await bench.driver.jog("x", move)
-        assert caught.value.refusal.code == "not-started" and "emips" in caught.value.refusal.remedy
+        with pytest.raises(Refusal, match="does not move") as caught:
+            await bench.driver.jog_axis("x", move)
+        assert caught.value.code == "not-started" and "emips" in caught.value.remedy
         await bench.somebody("emips1:-1", "block")
-        with pytest.raises(CannotDo, match="blocked"):
-            await bench.driver.jog("x", move)
+        with pytest.raises(Refusal, match="blocked"):
+            await bench.driver.jog_axis("x", move)
         await bench.driver.clear_faults()
-        await bench.driver.jog("x", move)
-        assert bench.unit.moving("1")
+        await bench.driver.jog_axis("x", move)
+        assert bench.unit.is_moving("1")
         await bench.driver.stop(False)
 
     run(case)
@@ -108,9 +111,9 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
-        with pytest.raises(CannotDo) as caught:
-            await bench.driver.jog("y", JogMove(5000.0, 40_000.0, None))
-        assert caught.value.refusal.code == "busy" and not bench.moved()
+        with pytest.raises(Refusal) as caught:
+            await bench.driver.jog_axis("y", JogMove(5000.0, 40_000.0, None))
+        assert caught.value.code == "busy" and not bench.moved()
 
     run(case)
 
@@ -118,12 +121,12 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
 def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", JogMove(5000.0, 40_000.0, None))
+        await bench.driver.jog_axis("x", JogMove(5000.0, 40_000.0, None))
         await bench.rest()
         assert (await bench.driver.poll()).axes["x"].limit == "forward"
-        with pytest.raises(CannotDo, match="limit"):
-            await bench.driver.jog("x", JogMove(5000.0, 40_000.0, None))
-        await bench.driver.jog("x", JogMove(-5000.0, 40_000.0, 0))
+        with pytest.raises(Refusal, match="limit"):
+            await bench.driver.jog_axis("x", JogMove(5000.0, 40_000.0, None))
+        await bench.driver.jog_axis("x", JogMove(-5000.0, 40_000.0, 0))
         await bench.rest()
         assert bench.steps("x") == 0
 
@@ -135,11 +138,11 @@ def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open() -> None:
 def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("y", JogMove(4000.0, 40_000.0, None))
-        jogging = asyncio.get_running_loop().create_task(bench.driver.jog("x", JogMove(8000.0, 40_000.0, None)))
+        await bench.driver.jog_axis("y", JogMove(4000.0, 40_000.0, None))
+        jogging = asyncio.get_running_loop().create_task(bench.driver.jog_axis("x", JogMove(8000.0, 40_000.0, None)))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         await bench.driver.stop(abort)
-        with contextlib.suppress(CannotDo, DriverFault):
+        with contextlib.suppress(Refusal, ControllerFault):
             await jogging
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moving
@@ -147,7 +150,7 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bo
         await sleep_ns(bench.clock, NS_PER_S)
         assert rests == (bench.steps("x"), bench.steps("y"))
         await bench.driver.clear_faults()
-        await bench.driver.jog("x", JogMove(-8000.0, 40_000.0, None))
+        await bench.driver.jog_axis("x", JogMove(-8000.0, 40_000.0, None))
         await bench.driver.stop(False)
 
     run(case, seed=after_ms)
@@ -163,8 +166,10 @@ def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
             name = draw.choice("xyz")
             speed = draw.uniform(500, 15_000) * draw.choice((-1, 1))
             allowed[name] = max(allowed[name], abs(speed))
-            with contextlib.suppress(CannotDo):
-                await bench.driver.jog(name, JogMove(speed, draw.uniform(5000, 100_000), 9000 if speed > 0 else -9000))
+            with contextlib.suppress(Refusal):
+                await bench.driver.jog_axis(
+                    name, JogMove(speed, draw.uniform(5000, 100_000), 9000 if speed > 0 else -9000)
+                )
             for _ in range(draw.randrange(30)):
                 await sleep_ns(bench.clock, 10 * NS_PER_MS)
                 for other, motor in NAMES.items():
@@ -183,7 +188,7 @@ def test_an_axis_gentler_than_the_slowest_ramp_jogs_at_a_start_speed() -> None:
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", JogMove(9000.0, 500.0, None))
+        await bench.driver.jog_axis("x", JogMove(9000.0, 500.0, None))
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         assert bench.unit.velocity("1") == pytest.approx(2.0)
         await bench.driver.stop(False)
@@ -197,17 +202,17 @@ def test_a_unit_that_was_restarted_since_the_last_jog_begins_none(cycled: bool) 
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", JogMove(8000.0, 40_000.0, 3000))
+        await bench.driver.jog_axis("x", JogMove(8000.0, 40_000.0, 3000))
         await bench.rest()
         if cycled:
             bench.unit.set_power(False)
             bench.unit.set_power(True)
         before = len(bench.moved())
-        jog = bench.driver.jog("x", JogMove(-8000.0, 40_000.0, -1000))
+        jog = bench.driver.jog_axis("x", JogMove(-8000.0, 40_000.0, -1000))
         if cycled:
-            with pytest.raises(CannotDo) as caught:
+            with pytest.raises(Refusal) as caught:
                 await jog
-            assert caught.value.refusal.code == "not-started"
+            assert caught.value.code == "not-started"
             assert len(bench.moved()) == before and not bench.moving
         else:
             await jog

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from unit.adapters.ppsmc_bench import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.model.messages import LineDrive, LineWait, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait
 
 POINTS: dict[str, Any] = {
     "inputs": {"start": {"number": 2}, "low": {"number": 5, "active": "low"}},
@@ -17,8 +17,8 @@ POINTS: dict[str, Any] = {
     "options": {"io_port": True},
 }
 CONFIG = controller("xyz", **POINTS)
-WINDOW = LineWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS)
-DRIVE = LineDrive(output="line", hold_ns=150 * NS_PER_MS)
+WINDOW = TriggerWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS)
+DRIVE = TriggerDrive(output="line", active_ns=150 * NS_PER_MS)
 
 
 def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> None:
@@ -34,7 +34,7 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int) -> None:
             bench.unit.set_input(2, False)
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
             before = len(bench.moved())
-            t0_ns, lowered = await bench.start(targets, StartWay(wait=WINDOW))
+            t0_ns, lowered = await bench.start(targets, StartOptions(wait=WINDOW))
             earliest_ns, latest_ns = lowered.window_ns
             raise_at(bench, t0_ns + draw.randrange(WINDOW.earliest_ns, WINDOW.latest_ns))
             started, outcome = await bench.followed()
@@ -54,7 +54,7 @@ def test_an_input_that_is_active_low_starts_when_it_falls() -> None:
     async def case(bench: Bench) -> None:
         bench.unit.set_input(5, True)
         await bench.ready()
-        t0_ns, _ = await bench.start({"y": 3000}, StartWay(wait=WINDOW.model_copy(update={"input": "low"})))
+        t0_ns, _ = await bench.start({"y": 3000}, StartOptions(wait=WINDOW.model_copy(update={"input": "low"})))
         raise_at(bench, t0_ns, 5, False)
         assert (await bench.followed())[1].state == "done"
 
@@ -65,10 +65,10 @@ def test_an_input_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_input(2, True)
-        with pytest.raises(CannotDo) as caught:
-            await bench.arm({"x": 3000}, StartWay(wait=WINDOW))
-        assert caught.value.refusal.code == "line-level" and "start" in caught.value.refusal.text
-        await bench.driver.disarm()
+        with pytest.raises(Refusal) as caught:
+            await bench.arm({"x": 3000}, StartOptions(wait=WINDOW))
+        assert caught.value.code == "line-level" and "start" in caught.value.text
+        await bench.driver.disarm_move()
         assert not bench.moved()
 
     run(case, config=CONFIG)
@@ -79,16 +79,16 @@ def test_before_go_and_after_disarm_no_edge_starts_anything(stage: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         if stage == "released":
-            await bench.start({"x": 9000, "y": 100}, StartWay(wait=WINDOW))
-            await bench.driver.disarm()
+            await bench.start({"x": 9000, "y": 100}, StartOptions(wait=WINDOW))
+            await bench.driver.disarm_move()
         else:
-            await bench.arm({"x": 9000, "y": 100}, StartWay(wait=WINDOW))
+            await bench.arm({"x": 9000, "y": 100}, StartOptions(wait=WINDOW))
             if stage == "verified":
-                await bench.driver.verify()
+                await bench.driver.verify_armed()
         bench.unit.set_input(2, True)
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved() and bench.unit.at_rest()
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         bench.unit.set_input(2, False)
         assert (await bench.move({"x": 50})).state == "done"
 
@@ -98,12 +98,12 @@ def test_before_go_and_after_disarm_no_edge_starts_anything(stage: str) -> None:
 def test_an_edge_between_the_promise_and_go_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.arm({"x": 9000}, StartWay(wait=WINDOW))
-        await bench.driver.verify()
+        await bench.arm({"x": 9000}, StartOptions(wait=WINDOW))
+        await bench.driver.verify_armed()
         bench.unit.set_input(2, True)
-        with pytest.raises(CannotDo, match="active"):
+        with pytest.raises(Refusal, match="active"):
             await bench.driver.go()
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         assert not bench.moved()
 
     run(case, config=CONFIG)
@@ -114,7 +114,7 @@ def test_an_edge_between_the_promise_and_go_is_refused() -> None:
 def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        t0_ns, lowered = await bench.start({"x": 90_000}, StartWay(wait=WINDOW))
+        t0_ns, lowered = await bench.start({"x": 90_000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         await bench.until(t0_ns + when_ms * NS_PER_MS)
         await bench.driver.stop(abort)
@@ -126,10 +126,10 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) 
         bench.unit.set_input(2, True)
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.steps("x") == rest
-        with contextlib.suppress(DriverFault, CannotDo):
+        with contextlib.suppress(ControllerFault, Refusal):
             await bench.followed()
         await bench.driver.clear_faults()
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         assert (await bench.move({"x": 0 if rest else 10})).state == "done"
 
     run(case, config=CONFIG, seed=when_ms)
@@ -138,10 +138,10 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool) 
 def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.start({"x": 9000}, StartWay(wait=WINDOW))
-        with pytest.raises(DriverFault) as caught:
-            await bench.driver.started()
-        assert caught.value.fault.code == "not-started" and "start" in caught.value.fault.text
+        await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
+        with pytest.raises(ControllerFault) as caught:
+            await bench.driver.wait_for_start()
+        assert caught.value.code == "not-started" and "start" in caught.value.text
         await bench.driver.stop(False)
         await sleep_ns(bench.clock, NS_PER_S)
         bench.unit.set_input(2, True)
@@ -160,12 +160,12 @@ def test_a_unit_that_is_reset_before_the_start_claims_none(before_ms: int, by_li
         await bench.ready()
         assert (await bench.move({"x": 500})).state == "done"
         moves = len(bench.moved())
-        t0_ns, _ = await bench.start({"x": 9000}, StartWay(wait=WINDOW if by_line else None))
+        t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW if by_line else None))
         raise_at(bench, t0_ns)
         await bench.until(t0_ns - before_ms * NS_PER_MS)
         bench.wire.links[-1].write(b"reset\r")
-        with pytest.raises(DriverFault, match="restarted before its start"):
-            await bench.driver.started()
+        with pytest.raises(ControllerFault, match="restarted before its start"):
+            await bench.driver.wait_for_start()
         assert len(bench.moved()) == moves
 
     run(case, config=CONFIG)
@@ -174,10 +174,10 @@ def test_a_unit_that_is_reset_before_the_start_claims_none(before_ms: int, by_li
 def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        t0_ns, _ = await bench.start({"x": 9000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns - 300 * NS_PER_MS)
-        with pytest.raises(DriverFault, match="too early"):
-            await bench.driver.started()
+        with pytest.raises(ControllerFault, match="too early"):
+            await bench.driver.wait_for_start()
         await bench.driver.stop(False)
 
     run(case, config=CONFIG)
@@ -189,13 +189,13 @@ def test_a_program_that_may_not_start_is_refused_by_go() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_limit("3", "forward")
-        await bench.arm({"x": 9000}, StartWay(wait=WINDOW))
-        with pytest.raises(CannotDo) as caught:
+        await bench.arm({"x": 9000}, StartOptions(wait=WINDOW))
+        with pytest.raises(Refusal) as caught:
             await bench.driver.go()
-        assert caught.value.refusal.code == "not-waiting" and "iel1" in caught.value.refusal.remedy
-        await bench.driver.disarm()
+        assert caught.value.code == "not-waiting" and "iel1" in caught.value.remedy
+        await bench.driver.disarm_move()
         await bench.somebody("iel1")
-        t0_ns, _ = await bench.start({"x": 9000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         assert (await bench.followed())[1].state == "done"
 
@@ -205,18 +205,18 @@ def test_a_program_that_may_not_start_is_refused_by_go() -> None:
 @pytest.mark.parametrize(
     ("how", "named"),
     [
-        (StartWay(wait=WINDOW.model_copy(update={"input": "gate"})), "start, low"),
-        (StartWay(drive=LineDrive(output="gate")), "line, low"),
-        (StartWay(by="line"), "line"),
-        (StartWay(by="clock"), "clock"),
+        (StartOptions(wait=WINDOW.model_copy(update={"input": "gate"})), "start, low"),
+        (StartOptions(drive=TriggerDrive(output="gate")), "line, low"),
+        (StartOptions(start_class="line"), "line"),
+        (StartOptions(start_class="clock"), "clock"),
     ],
 )
-def test_what_can_not_be_waited_for_or_driven_is_refused(how: StartWay, named: str) -> None:
+def test_what_can_not_be_waited_for_or_driven_is_refused(how: StartOptions, named: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo, match=named) as caught:
+        with pytest.raises(Refusal, match=named) as caught:
             await bench.lowered({"x": 100}, how)
-        assert caught.value.refusal.code == "start-class" and caught.value.refusal.remedy
+        assert caught.value.code == "start-class" and caught.value.remedy
 
     run(case, config=CONFIG)
 
@@ -225,9 +225,9 @@ def test_without_the_port_there_is_no_start_by_line() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host",)
-        with pytest.raises(CannotDo, match="io_port"):
-            await bench.lowered({"x": 100}, StartWay(wait=WINDOW))
-        with pytest.raises(CannotDo, match="no i/o port"):
+        with pytest.raises(Refusal, match="io_port"):
+            await bench.lowered({"x": 100}, StartOptions(wait=WINDOW))
+        with pytest.raises(Refusal, match="no i/o port"):
             await bench.driver.set_output(1, True)
 
     run(case)
@@ -246,7 +246,7 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
         await bench.somebody("dout65")  # bit 6, which is active low, and bit 0 of somebody else
         edges: list[tuple[int, int, bool]] = []
         bench.unit.on_output(lambda bit, level: edges.append((bench.clock.now_ns(), bit, level)))
-        how = StartWay(drive=DRIVE.model_copy(update={"output": output}))
+        how = StartOptions(drive=DRIVE.model_copy(update={"output": output}))
         t0_ns, lowered = await bench.start(targets, how)
         started, outcome = await bench.followed()
         assert outcome.state == "done", outcome
@@ -256,7 +256,7 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
             sum(each.latest_ns for each in lowered.edge),
         )
         assert earliest_ns <= edges[0][0] - t0_ns <= latest_ns
-        assert edges[1][0] - edges[0][0] >= DRIVE.hold_ns
+        assert edges[1][0] - edges[0][0] >= DRIVE.active_ns
         for motion in bench.moved():
             name = next(name for name, axis in NAMES.items() if axis == motion.axis)
             assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
@@ -270,9 +270,9 @@ def test_an_output_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.somebody("dout8")
-        with pytest.raises(CannotDo) as caught:
-            await bench.arm({"x": 100}, StartWay(drive=DRIVE))
-        assert caught.value.refusal.code == "line-level" and "line" in caught.value.refusal.text
+        with pytest.raises(Refusal) as caught:
+            await bench.arm({"x": 100}, StartOptions(drive=DRIVE))
+        assert caught.value.code == "line-level" and "line" in caught.value.text
 
     run(case, config=CONFIG)
 
@@ -283,16 +283,16 @@ def test_an_output_that_is_active_already_is_refused() -> None:
 def test_disarmed_or_stopped_the_output_is_passive(when_ms: int, by_stop: bool, targets: dict[str, int]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        how = StartWay(drive=DRIVE.model_copy(update={"hold_ns": 20 * NS_PER_S}))
+        how = StartOptions(drive=DRIVE.model_copy(update={"hold_ns": 20 * NS_PER_S}))
         t0_ns, lowered = await bench.start(targets, how)
         await bench.until(t0_ns + when_ms * NS_PER_MS)
-        await (bench.driver.stop(False) if by_stop else bench.driver.disarm())
+        await (bench.driver.stop(False) if by_stop else bench.driver.disarm_move())
         await sleep_ns(bench.clock, lowered.costs.stop_ns)
-        assert not bench.unit.output(3) and not bench.moving
-        with contextlib.suppress(DriverFault, CannotDo):
+        assert not bench.unit.output_level(3) and not bench.moving
+        with contextlib.suppress(ControllerFault, Refusal):
             await bench.followed()
-        await bench.driver.disarm()
-        assert not bench.unit.output(3)
+        await bench.driver.disarm_move()
+        assert not bench.unit.output_level(3)
 
     run(case, config=CONFIG)
 
@@ -301,8 +301,8 @@ def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.on_output(lambda bit, level: bench.unit.set_input(2, level) if bit == 3 else None)
-        wide = LineWait(input="start", earliest_ns=-10 * NS_PER_MS, latest_ns=15 * NS_PER_MS)
-        _, lowered = await bench.start({"x": 4000, "y": -4000}, StartWay(wait=wide, drive=DRIVE))
+        wide = TriggerWait(input="start", earliest_ns=-10 * NS_PER_MS, latest_ns=15 * NS_PER_MS)
+        _, lowered = await bench.start({"x": 4000, "y": -4000}, StartOptions(wait=wide, drive=DRIVE))
         assert lowered.start_class == "line" and lowered.edge
         started, outcome = await bench.followed()
         assert outcome.state == "done", outcome

@@ -7,23 +7,23 @@ import pytest
 from pydantic import ValidationError
 from unit.adapters.ppsmc_bench import controller
 
-from adapters.contract import CannotDo
 from adapters.ppsmc import MAKE, fleetaxes
-from adapters.ppsmc.lowering import SmcLowered, lower
-from adapters.ppsmc.options import Options
-from adapters.ppsmc.replies import ERRORS, POSITIONS, PROGRAM, SETTINGS, STATUS, TARGETS, number_in
-from adapters.ppsmc.trapezoid import Bounds, Trapezoid, fit
-from orchestrator.model.messages import StartWay
+from adapters.ppsmc.lowering import PpSmcLowered, lower_step
+from adapters.ppsmc.options import PpSmcOptions
+from adapters.ppsmc.replies import ERRORS, POSITIONS, PROGRAM, SETTINGS, STATUS, TARGETS, leading_number
+from adapters.ppsmc.trapezoid import PpSmcBounds, PpSmcTrapezoid, fit_trapezoid
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
-KNOWN = Options().unread_clock().known(0)
+KNOWN = PpSmcOptions().unread_clock().known(0)
 
 
-def lowered(profile: Profile, options: Options | None = None, **axis: Any) -> SmcLowered:
-    options = options or Options()
+def lowered(profile: Profile, options: PpSmcOptions | None = None, **axis: Any) -> PpSmcLowered:
+    options = options or PpSmcOptions()
     known = options.unread_clock().known(0)
-    return lower(controller("x", axis=axis), options, 0, 1, known, {"x": profile}, StartWay())
+    return lower_step(controller("x", axis=axis), options, 0, 1, known, {"x": profile}, StartOptions())
 
 
 def planned(distance: int, velocity: float, acceleration: float, factor: float = 1.0) -> Profile:
@@ -33,17 +33,17 @@ def planned(distance: int, velocity: float, acceleration: float, factor: float =
 
 def test_the_worked_example() -> None:
     """15,000 steps in 3 s with 10 Hz/ms and 200 Hz are 6200 Hz: ramps of 0.6 s, 1.8 s between them."""
-    shape = fit(15_000, 3.0, 10_000.0, Bounds(20_000, 10_000.0, 200, 200))
-    assert shape == Trapezoid(15_000, 200, 6200, 10, 10)
+    shape = fit_trapezoid(15_000, 3.0, 10_000.0, PpSmcBounds(20_000, 10_000.0, 200, 200))
+    assert shape == PpSmcTrapezoid(15_000, 200, 6200, 10, 10)
     assert shape.duration_s == pytest.approx(3.0, abs=1e-9)
-    assert [leg.duration_s for leg in shape.legs] == pytest.approx([0.6, 1.8, 0.6])
+    assert [leg.duration_s for leg in shape.motion_legs] == pytest.approx([0.6, 1.8, 0.6])
 
 
-@pytest.mark.parametrize("shape", [Trapezoid(5000, 100, 3000, 7, 11), Trapezoid(200, 100, 3000, 7, 11)])
-def test_legs_add_up_to_distance_and_duration(shape: Trapezoid) -> None:
-    way = sum(leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2) for leg in shape.legs)
+@pytest.mark.parametrize("shape", [PpSmcTrapezoid(5000, 100, 3000, 7, 11), PpSmcTrapezoid(200, 100, 3000, 7, 11)])
+def test_legs_add_up_to_distance_and_duration(shape: PpSmcTrapezoid) -> None:
+    way = sum(leg.duration_s * (leg.speed + leg.duration_s * leg.acceleration / 2) for leg in shape.motion_legs)
     assert way == pytest.approx(shape.distance)
-    assert sum(leg.duration_s for leg in shape.legs) == pytest.approx(shape.duration_s)
+    assert sum(leg.duration_s for leg in shape.motion_legs) == pytest.approx(shape.duration_s)
 
 
 def test_random_moves_keep_their_limits_and_where_ramps_reach_their_duration() -> None:
@@ -51,11 +51,11 @@ def test_random_moves_keep_their_limits_and_where_ramps_reach_their_duration() -
     for _ in range(400):
         velocity, acceleration = 10 ** draw.uniform(2, 5), 10 ** draw.uniform(3.5, 6)
         distance = round(10 ** draw.uniform(1.7, 5.5))
-        limits = Bounds(velocity, acceleration, draw.randint(1, 20), draw.randint(20, 1000))
-        quickest = fit(distance, 0.001, acceleration, limits)
+        limits = PpSmcBounds(velocity, acceleration, draw.randint(1, 20), draw.randint(20, 1000))
+        quickest = fit_trapezoid(distance, 0.001, acceleration, limits)
         assert quickest is not None
         duration_s = quickest.duration_s * draw.uniform(1.02, 3)
-        shape = fit(distance, duration_s, acceleration / 2, limits)
+        shape = fit_trapezoid(distance, duration_s, acceleration / 2, limits)
         assert shape is not None
         assert limits.start_min <= shape.s <= max(limits.start_min, limits.start_max)
         assert shape.f <= velocity and max(shape.a, shape.d) * 1000 <= acceleration * (1 + 1e-6)
@@ -73,7 +73,7 @@ def test_an_answer_that_is_planned_again_is_kept() -> None:
     first = lowered(profile, start_rate={"min": 0.001, "max": 2})
     longer_s = first.durations_s["x"]
     assert profile.duration_s < longer_s < profile.duration_s * 1.05
-    again = lowered(profile.stretched(longer_s / profile.duration_s), start_rate={"min": 0.001, "max": 2})
+    again = lowered(profile.stretch_time(longer_s / profile.duration_s), start_rate={"min": 0.001, "max": 2})
     assert again.durations_s["x"] == pytest.approx(longer_s, abs=1e-3)
 
 
@@ -84,13 +84,19 @@ def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() ->
         moves = [AxisMove(name, 0, draw.randrange(300, 900), 110.0, 5000.0) for name in "xy"]
         plan = plan_step(moves)
         profiles = plan.stretched(draw.uniform(8.2, 12.0)).profiles
-        answered = lower(config, Options(), 0, 2, KNOWN, profiles, StartWay()).durations_s
+        answered = lower_step(config, PpSmcOptions(), 0, 2, KNOWN, profiles, StartOptions()).durations_s
         assert min(answered.values()) > profiles["x"].duration_s - 0.0011
         if max(answered.values()) - min(answered.values()) <= 0.001:
             alike += 1
             factor = max(1.0, max(answered.values()) / profiles["x"].duration_s)
-            again = lower(
-                config, Options(), 0, 2, KNOWN, {n: p.stretched(factor) for n, p in profiles.items()}, StartWay()
+            again = lower_step(
+                config,
+                PpSmcOptions(),
+                0,
+                2,
+                KNOWN,
+                {n: p.stretch_time(factor) for n, p in profiles.items()},
+                StartOptions(),
             )
             assert all(abs(s - max(answered.values())) < 2e-3 for s in again.durations_s.values())
     assert alike >= 20
@@ -99,7 +105,7 @@ def test_slow_axes_of_one_unit_answer_with_a_duration_that_all_of_them_have() ->
 @pytest.mark.parametrize("ppm", [-300.0, 0.0, 250.0])
 def test_the_rate_of_the_crystal_is_made_up_for(ppm: float) -> None:
     profile = planned(100_000, 20_000.0, 100_000.0, 1.2)
-    result = lowered(profile, Options(rate_ppm=ppm))
+    result = lowered(profile, PpSmcOptions(rate_ppm=ppm))
     (move,) = result.moves
     assert move.shape is not None
     assert result.durations_s["x"] == pytest.approx(profile.duration_s, abs=1e-4)
@@ -116,25 +122,25 @@ def test_what_is_sent_and_how_far_it_is_from_the_plan() -> None:
     for k in range(2000):
         t = at_s = k / 2000 * profile.duration_s
         x = 0.0
-        for leg in move.shape.legs:
+        for leg in move.shape.motion_legs:
             step = min(t, leg.duration_s)
             x += step * (leg.speed + step * leg.acceleration / 2)
             t -= step
-        worst = max(worst, abs(-x - profile.at(at_s).position))
+        worst = max(worst, abs(-x - profile.state_at(at_s).position))
     assert worst <= result.path_error_counts["x"] < worst + 1.5
 
 
 def test_refusals_name_axis_and_what_would_fit() -> None:
-    with pytest.raises(CannotDo, match=r"axis x: 3 steps .* slower") as caught:
+    with pytest.raises(Refusal, match=r"axis x: 3 steps .* too slow") as caught:
         lowered(planned(3, 20_000.0, 100_000.0, 10_000))
-    assert caught.value.refusal.code == "too-slow" and "start_rate" in caught.value.refusal.remedy
+    assert caught.value.code == "too-slow" and "start_rate" in caught.value.remedy
     jerky = Profile(0, 1000, 1000.0, [0.1] * 4, [0.0, 1.0, -1.0, 0.0], [10.0, -10.0, -10.0, 10.0])
-    with pytest.raises(CannotDo, match="jerk"):
+    with pytest.raises(Refusal, match="jerk"):
         lowered(jerky)
     far = Profile(0, 2**23, 2.0**23, [100.0, 100.0], [1e-4, -1e-4], [0.0, 0.0])
-    with pytest.raises(CannotDo) as beyond:
+    with pytest.raises(Refusal) as beyond:
         lowered(far)
-    assert beyond.value.refusal.code == "too-far"
+    assert beyond.value.code == "too-far"
 
 
 def test_an_axis_gentler_than_the_slowest_ramp_runs_at_a_start_speed() -> None:
@@ -162,7 +168,7 @@ def test_an_axis_gentler_than_the_slowest_ramp_runs_at_a_start_speed() -> None:
     ids=str,
 )
 def test_the_fleet_file_is_checked(change: dict[str, Any], said: str) -> None:
-    MAKE.check(controller())
+    MAKE.check_config(controller())
     config = controller("x").to_plain()
     for key, value in change.items():
         if key == "axis":
@@ -170,12 +176,12 @@ def test_the_fleet_file_is_checked(change: dict[str, Any], said: str) -> None:
         else:
             config[key] = value
     with pytest.raises(ValueError, match=said):
-        MAKE.check(type(controller()).model_validate(config))
+        MAKE.check_config(type(controller()).model_validate(config))
 
 
 def test_options_refuse_what_they_do_not_know() -> None:
     with pytest.raises(ValidationError):
-        MAKE.options.model_validate({"wheels": 4})
+        MAKE.options_model.model_validate({"wheels": 4})
 
 
 @pytest.mark.parametrize("gear", ["1", "10000/3", "400", "0.5", "123.4"])
@@ -185,8 +191,8 @@ def test_positions_as_text_are_the_step_that_was_meant(gear: str) -> None:
     draw, exact = Random(3), Fraction(gear)
     for _ in range(300):
         steps = draw.randrange(-(2**23), 2**23)
-        text = fleetaxes.written(steps, exact)
-        assert fleetaxes.steps(text, exact) == steps and len(text) < 20
+        text = fleetaxes.format_position(steps, exact)
+        assert fleetaxes.parse_steps(text, exact) == steps and len(text) < 20
 
 
 @pytest.mark.parametrize(
@@ -201,6 +207,6 @@ def test_positions_as_text_are_the_step_that_was_meant(gear: str) -> None:
     ],
 )
 def test_forms_tell_replies_apart(form: Any, yes: list[str], no: list[str]) -> None:
-    assert all(form.fits(text) for text in yes)
-    assert not any(form.fits(text) for text in no)
-    assert number_in("1.234deg") == "1.234" and number_in("-.5") == "-.5" and number_in("osc") is None
+    assert all(form.matches_text(text) for text in yes)
+    assert not any(form.matches_text(text) for text in no)
+    assert leading_number("1.234deg") == "1.234" and leading_number("-.5") == "-.5" and leading_number("osc") is None

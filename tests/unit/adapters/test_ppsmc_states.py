@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from unit.adapters.ppsmc_bench import Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.ppsmc import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, LinkRefused
+from orchestrator.model.errors import ControllerFault, Refusal
 
 CLOSED: dict[str, Any] = {"encoder": True, "encoder_follows": True}
 
@@ -55,11 +55,11 @@ def test_a_half_typed_line_on_the_serial_port_is_not_completed(half: str) -> Non
         async def same_line() -> Link:
             return line
 
-        driver = MAKE.driver(replace(bench.driver._setup, open_link=same_line))
+        driver = MAKE.create_driver(replace(bench.driver._setup, open_link=same_line))
         await driver.connect()
         await driver.configure()
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
-        assert not bench.moved() and not bench.unit.unit.blocked and not bench.unit.unit.memory.listing
+        assert not bench.moved() and not bench.unit.unit.blocked and not bench.unit.unit.memory.list_commands
         await driver.close()
 
     run(case, config=controller(serial=True))
@@ -84,9 +84,9 @@ def test_a_moving_unit_and_a_running_program_are_waited_for_and_not_stopped() ->
 def test_a_unit_that_never_rests_is_named(lines: Sequence[str]) -> None:
     async def case(bench: Bench) -> None:
         await bench.somebody(*lines)
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await bench.driver.connect()
-        assert caught.value.fault.code == "busy" and "`q`" in caught.value.fault.remedy
+        assert caught.value.code == "busy" and "`q`" in caught.value.remedy
         await bench.somebody("q", wait_ms=1000)
         await bench.reached_again()
 
@@ -106,16 +106,16 @@ def test_a_unit_of_another_configuration_is_refused(lines: Sequence[str], config
     async def case(bench: Bench) -> None:
         await bench.somebody(*lines)
         await bench.driver.connect()
-        with pytest.raises(DriverFault, match=named) as caught:
+        with pytest.raises(ControllerFault, match=named) as caught:
             await bench.driver.configure()
-        assert caught.value.fault.code == "config-mismatch" and caught.value.fault.remedy
+        assert caught.value.code == "config-mismatch" and caught.value.remedy
 
     run(case, config=config)
 
 
 def test_an_axis_that_the_unit_has_not_is_refused() -> None:
     async def case(bench: Bench) -> None:
-        with pytest.raises(DriverFault, match="axis 3"):
+        with pytest.raises(ControllerFault, match="axis 3"):
             await bench.ready()
 
     run(case, simulate={"axes": 2})
@@ -124,9 +124,9 @@ def test_an_axis_that_the_unit_has_not_is_refused() -> None:
 def test_another_make_is_named() -> None:
     async def case(bench: Bench) -> None:
         bench.wire.to_near = lambda data: data.replace(b"smc", b"xyz")
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await bench.driver.connect()
-        assert caught.value.fault.code == "wrong-make"
+        assert caught.value.code == "wrong-make"
 
     run(case)
 
@@ -167,11 +167,11 @@ def test_what_others_do_between_arming_and_the_promise_is_found(lines: Sequence[
         await bench.arm({"x": 50_000})
         await bench.somebody(*lines)
         await bench.rest()
-        with pytest.raises(CannotDo) as caught:
-            await bench.driver.verify()
-        assert caught.value.refusal.code == code
+        with pytest.raises(Refusal) as caught:
+            await bench.driver.verify_armed()
+        assert caught.value.code == code
         await bench.somebody("q")
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         assert (await bench.move({"x": 20})).state == "done"
 
     run(case)
@@ -180,10 +180,10 @@ def test_what_others_do_between_arming_and_the_promise_is_found(lines: Sequence[
 def test_a_speed_that_the_unit_does_not_take_is_refused_while_arming() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 50_000})
-        assert caught.value.refusal.code == "not-loaded" and "ffast1" in caught.value.refusal.text
-        await bench.driver.disarm()
+        assert caught.value.code == "not-loaded" and "ffast1" in caught.value.text
+        await bench.driver.disarm_move()
         assert not bench.moved()
 
     run(case, simulate={"fmax_hz": 10_000})
@@ -196,10 +196,10 @@ def test_a_start_that_the_unit_ignores_is_said() -> None:
         await bench.ready()
         await bench.somebody("emips2:1")
         await bench.start({"x": 5000, "y": 5000})
-        with pytest.raises(DriverFault) as caught:
-            await bench.driver.started()
-        assert caught.value.fault.code == "not-started" and caught.value.fault.axis == "y"
-        assert "emips" in caught.value.fault.remedy
+        with pytest.raises(ControllerFault) as caught:
+            await bench.driver.wait_for_start()
+        assert caught.value.code == "not-started" and caught.value.axis == "y"
+        assert "emips" in caught.value.remedy
         await bench.driver.stop(False)
         await bench.rest()
 
@@ -220,9 +220,9 @@ def test_a_limit_that_changes_after_arming_is_found() -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
         bench.unit.set_limit("3", "reverse")
-        with pytest.raises(CannotDo, match="limit switch"):
-            await bench.driver.verify()
-        await bench.driver.disarm()
+        with pytest.raises(Refusal, match="limit switch"):
+            await bench.driver.verify_armed()
+        await bench.driver.disarm_move()
 
     run(case)
 
@@ -284,7 +284,7 @@ def test_an_axis_that_somebody_oscillates_is_read() -> None:
         await bench.somebody("osc1:5")
         reading = await bench.driver.poll()
         assert reading.axes["x"].moving and reading.axes["x"].commanded_counts == 600
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await bench.arm({"y": 100})
 
     run(case)
@@ -310,12 +310,12 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
                 await bench.start(targets)
                 started = True
                 await bench.followed()
-            except (CannotDo, DriverFault, LinkClosed, LinkRefused):
+            except (Refusal, ControllerFault, LinkClosed, LinkRefused):
                 bench.wire.to_near = bench.wire.to_far = None
-                with contextlib.suppress(DriverFault):
+                with contextlib.suppress(ControllerFault):
                     await bench.driver.stop(False)
                 await sleep_ns(bench.clock, 3 * NS_PER_S)
-                await bench.driver.disarm()
+                await bench.driver.disarm_move()
             bench.wire.to_near = bench.wire.to_far = None
             await bench.rest(30 * NS_PER_S)
             moved = {motion.axis for motion in bench.moved()[before:]}
@@ -371,16 +371,16 @@ def test_a_poll_that_is_under_way_never_delays_a_start(lead_ms: int) -> None:
         await bench.ready()
         lowered = await bench.lowered({"x": 3000})
         t0_ns = bench.clock.now_ns() + lowered.costs.arm_ns
-        await bench.driver.arm(lowered, t0_ns, None)
-        await bench.driver.verify()
+        await bench.driver.arm_move(lowered, t0_ns, None)
+        await bench.driver.verify_armed()
         await bench.until(t0_ns - lead_ms * NS_PER_MS)
         polling = asyncio.get_running_loop().create_task(bench.driver.poll())
         await sleep_ns(bench.clock, NS_PER_MS)
         try:
             await bench.driver.go()
-        except CannotDo as error:
-            assert error.refusal.code == "late" and lead_ms < 200
-            await bench.driver.disarm()
+        except Refusal as error:
+            assert error.code == "late" and lead_ms < 200
+            await bench.driver.disarm_move()
             assert not bench.moved()
         else:
             await bench.followed()

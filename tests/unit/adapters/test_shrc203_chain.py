@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.shrc203.chain import ChainMove, ChainReport
-from adapters.shrc203.fleetaxes import bounds
-from adapters.shrc203.trapezoid import Trapezoid, fit
+from adapters.shrc203.fleetaxes import axis_bounds
+from adapters.shrc203.trapezoid import ShrcTrapezoid, fit_trapezoid
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from sim.core.controller import Motion
+from orchestrator.model.errors import ControllerFault, Refusal
+from sim.core.controller import CommandedMotion
 
 CONFIG = controller("xyz", **{"inputs": {"start": {"number": 1}}})
 DURATION_S = 0.030
@@ -24,14 +24,14 @@ def chain_of(draw: Random, count: int, duration_s: float = DURATION_S) -> list[C
     moves: list[ChainMove] = []
     for _ in range(count):
         distance = draw.randrange(100, 800) * draw.choice((1, -1))
-        shape = fit(abs(distance), duration_s, 0.004, bounds(CONFIG.axes["x"]))
+        shape = fit_trapezoid(abs(distance), duration_s, 0.004, axis_bounds(CONFIG.axes["x"]))
         assert shape is not None
         moves.append(ChainMove(distance, shape))
     return moves
 
 
-def made(bench: Bench, axis: str) -> list[Motion]:
-    return [each for each in bench.unit.motions if each.axis == NAMES[axis]]
+def made(bench: Bench, axis: str) -> list[CommandedMotion]:
+    return [each for each in bench.unit.commanded_motions if each.axis == NAMES[axis]]
 
 
 def executed_once(bench: Bench, moves: Mapping[str, Sequence[ChainMove]]) -> None:
@@ -62,8 +62,8 @@ def test_every_move_is_executed_once_in_order_and_without_a_gap(axes: str, seed:
         for axis, each in moves.items():
             assert reading.axes[axis].commanded_counts == sum(move.distance for move in each)
         await bench.start({"x": 0})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, seed=seed, config=CONFIG, ppm=90.0)
 
@@ -77,7 +77,8 @@ def test_a_chain_that_runs_dry_says_so_and_goes_on_with_no_move_lost(axes: str, 
         await bench.ready()
         ways = range(1, longest_ms + 1)  # a pulse takes a millisecond
         moves = {
-            axis: [ChainMove(way, Trapezoid(way, 1000, 1000, 1)) for way in draw.choices(ways, k=12)] for axis in axes
+            axis: [ChainMove(way, ShrcTrapezoid(way, 1000, 1000, 1)) for way in draw.choices(ways, k=12)]
+            for axis in axes
         }
         said: list[str] = []
         report = await bench.driver.run_chain(moves, said.append)
@@ -132,21 +133,21 @@ def test_a_stop_ends_the_chain_and_leaves_nothing_queued(simulate: dict[str, Any
         reason = ""
         try:
             reason = (await task).reason
-        except CannotDo as error:
+        except Refusal as error:
             assert not bench.moved(), error
         await bench.driver.clear_faults()
-        await bench.driver.enable(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], True)
         await bench.driver.poll()
         await bench.driver.poll()
-        before = len(bench.unit.motions)
-        await bench.driver.raw("G")
+        before = len(bench.unit.commanded_motions)
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
-        assert not [each for each in bench.unit.motions[before:] if each.end_counts != each.start_counts]
+        assert not [each for each in bench.unit.commanded_motions[before:] if each.end_counts != each.start_counts]
         assert all(each.start_ns < stopped_ns + 40 * NS_PER_MS for each in bench.moved())
         assert reason == "stopped on request" or not bench.moved()
         await bench.start({"x": 0})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, config=CONFIG, simulate=simulate)
 
@@ -154,7 +155,7 @@ def test_a_stop_ends_the_chain_and_leaves_nothing_queued(simulate: dict[str, Any
 def test_a_limit_switch_breaks_the_chain() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        shape = fit(3000, 0.05, 0.01, bounds(CONFIG.axes["x"]))
+        shape = fit_trapezoid(3000, 0.05, 0.01, axis_bounds(CONFIG.axes["x"]))
         assert shape is not None
         task = bench.clock.loop.create_task(bench.driver.run_chain({"x": [ChainMove(3000, shape)] * 30}))
         await sleep_ns(bench.clock, 400 * NS_PER_MS)
@@ -165,16 +166,16 @@ def test_a_limit_switch_breaks_the_chain() -> None:
     run(case, config=CONFIG)
 
 
-@pytest.mark.parametrize("moves", [{}, {"x": []}, {"w": [ChainMove(5, Trapezoid(5, 100, 100, 1))]}], ids=str)
+@pytest.mark.parametrize("moves", [{}, {"x": []}, {"w": [ChainMove(5, ShrcTrapezoid(5, 100, 100, 1))]}], ids=str)
 def test_a_chain_of_nothing_is_refused_and_leaves_the_unit_free(moves: dict[str, list[ChainMove]]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await bench.driver.run_chain(moves)
-        assert caught.value.refusal.code == "bad-chain" and caught.value.refusal.remedy
+        assert caught.value.code == "bad-chain" and caught.value.remedy
         await bench.start({"x": 100})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, config=CONFIG)
 
@@ -184,9 +185,9 @@ def test_nothing_else_is_armed_or_jogged_while_a_chain_runs() -> None:
         await bench.ready()
         task = bench.clock.loop.create_task(bench.driver.run_chain({"x": chain_of(Random(3), 30)}))
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await bench.arm({"y": 500})
-        assert caught.value.refusal.code == "busy"
+        assert caught.value.code == "busy"
         assert (await bench.driver.poll()).axes["x"].moving
         assert (await task).reason == ""
 
@@ -200,7 +201,7 @@ def test_a_chain_that_is_read_all_the_while_makes_every_move(seed: int, axes: st
         draw = Random(seed)
         await bench.ready()
         moves = {
-            axis: [ChainMove(way, Trapezoid(way, 1000 - way, 1000, 2)) for way in draw.choices(range(12, 18), k=60)]
+            axis: [ChainMove(way, ShrcTrapezoid(way, 1000 - way, 1000, 2)) for way in draw.choices(range(12, 18), k=60)]
             for axis in axes
         }
         task = bench.clock.loop.create_task(bench.driver.run_chain(moves))
@@ -219,7 +220,7 @@ def test_a_unit_with_one_axis_chains_moves_of_a_few_pulses() -> None:
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        moves = {"x": [ChainMove(way, Trapezoid(way, 30, 60, 2)) for way in (1, 2, 3, 1, 2, 3)]}
+        moves = {"x": [ChainMove(way, ShrcTrapezoid(way, 30, 60, 2)) for way in (1, 2, 3, 1, 2, 3)]}
         report = await bench.driver.run_chain(moves)
         assert report.reason == ""
         executed_once(bench, moves)
@@ -230,12 +231,12 @@ def test_a_unit_with_one_axis_chains_moves_of_a_few_pulses() -> None:
 @pytest.mark.parametrize(
     ("move", "code"),
     [
-        (ChainMove(500, Trapezoid(400, 100, 1000, 10)), "bad-move"),
-        (ChainMove(500, Trapezoid(500, 100, 200_000, 1000)), "ok"),
-        (ChainMove(90_000, Trapezoid(90_000, 100, 200_000, 1)), "velocity-limit"),
-        (ChainMove(500, Trapezoid(500, 90_000, 90_000, 1)), "velocity-limit"),
-        (ChainMove(5000, Trapezoid(5000, 100, 50_000, 10)), "acceleration-limit"),
-        (ChainMove(-5000, Trapezoid(5000, 100, 10_000, 50)), "soft-limit"),
+        (ChainMove(500, ShrcTrapezoid(400, 100, 1000, 10)), "bad-move"),
+        (ChainMove(500, ShrcTrapezoid(500, 100, 200_000, 1000)), "ok"),
+        (ChainMove(90_000, ShrcTrapezoid(90_000, 100, 200_000, 1)), "velocity-limit"),
+        (ChainMove(500, ShrcTrapezoid(500, 90_000, 90_000, 1)), "velocity-limit"),
+        (ChainMove(5000, ShrcTrapezoid(5000, 100, 50_000, 10)), "acceleration-limit"),
+        (ChainMove(-5000, ShrcTrapezoid(5000, 100, 10_000, 50)), "soft-limit"),
     ],
 )
 def test_a_chain_beyond_the_limits_is_refused_before_it_begins(move: ChainMove, code: str) -> None:
@@ -250,9 +251,9 @@ def test_a_chain_beyond_the_limits_is_refused_before_it_begins(move: ChainMove, 
         if code == "ok":
             assert (await bench.driver.run_chain({"x": [move]})).reason == ""
             return
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await bench.driver.run_chain({"x": [move]})
-        assert caught.value.refusal.code == code
+        assert caught.value.code == code
         assert not bench.moved()
 
     run(case, config=config)
@@ -263,7 +264,7 @@ def test_a_chain_beyond_the_limits_is_refused_before_it_begins(move: ChainMove, 
 def test_a_garbled_load_is_found_and_the_chain_ends(nth: int, axes: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        moves = {axis: [ChainMove(300, Trapezoid(300, 1000, 20_000, 45))] * 8 for axis in axes}
+        moves = {axis: [ChainMove(300, ShrcTrapezoid(300, 1000, 20_000, 45))] * 8 for axis in axes}
         left = nth
 
         def garble(data: bytes) -> bytes:
@@ -273,9 +274,9 @@ def test_a_garbled_load_is_found_and_the_chain_ends(nth: int, axes: str) -> None
 
         bench.wire.to_far = garble
         if nth == 1:
-            with pytest.raises(CannotDo) as caught:
+            with pytest.raises(Refusal) as caught:
                 await bench.driver.run_chain(moves)
-            assert caught.value.refusal.code == "load-garbled" and not bench.moved()
+            assert caught.value.code == "load-garbled" and not bench.moved()
             return
         report = await bench.driver.run_chain(moves)
         bench.wire.to_far = None
@@ -298,17 +299,17 @@ def test_on_a_noisy_line_a_chain_says_where_it_broke_or_has_made_every_move(seed
         bench.wire.to_far = bench.wire.to_near = garble
         try:
             reason = (await bench.driver.run_chain(moves)).reason
-        except (CannotDo, DriverFault) as error:
+        except (Refusal, ControllerFault) as error:
             reason = str(error)
         bench.wire.to_far = bench.wire.to_near = None
         await sleep_ns(bench.clock, 3 * NS_PER_S)
         if not reason:
             executed_once(bench, moves)
         assert bench.unit.at_rest()
-        await bench.driver.disarm()
-        before = len(bench.unit.motions)
-        await bench.driver.raw("G")
+        await bench.driver.disarm_move()
+        before = len(bench.unit.commanded_motions)
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
-        assert not [each for each in bench.unit.motions[before:] if each.end_counts != each.start_counts]
+        assert not [each for each in bench.unit.commanded_motions[before:] if each.end_counts != each.start_counts]
 
     run(case, config=CONFIG)

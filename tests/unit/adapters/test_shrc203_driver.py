@@ -10,21 +10,22 @@ from typing import Any
 import pytest
 from unit.adapters.restarts import sees_the_restart
 
-from adapters.contract import CannotDo, DriverFault, Setup
+from adapters.contract import DriverSetup
 from adapters.shrc203 import MAKE
 from adapters.shrc203.driver import ShrcDriver
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Motion, SimulatedController, Timing
+from sim.core.controller import CommandedMotion, FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
 from sim.shrc203 import SHRC203
 
-TIMING = Timing(decode_ns=1_000_000, spread_ns=1_000_000)
+TIMING = FirmwareTiming(decode_ns=1_000_000, spread_ns=1_000_000)
 NAMES = {"x": "1", "y": "2", "z": "3"}
 
 
@@ -64,19 +65,21 @@ class Bench:
             AxisMove(name, reading.axes[name].commanded_counts, target, 100_000.0, 500_000.0)
             for name, target in targets.items()
         ]
-        lowered = self.driver.lower(plan_step(moves).profiles, StartWay(), None)
+        lowered = self.driver.lower_profiles(plan_step(moves).profiles, StartOptions(), None)
         t0_ns = self.clock.now_ns() + lead_ns
-        await self.driver.arm(lowered, t0_ns, None)
+        await self.driver.arm_move(lowered, t0_ns, None)
         return t0_ns
 
     async def start(self, targets: Mapping[str, int]) -> int:
         t0_ns = await self.arm(targets)
-        await self.driver.verify()
+        await self.driver.verify_armed()
         await self.driver.go()
         return t0_ns
 
-    def moved(self) -> list[Motion]:
-        return [each for each in self.unit.motions if each.end_counts != each.start_counts or each.end_ns is None]
+    def moved(self) -> list[CommandedMotion]:
+        return [
+            each for each in self.unit.commanded_motions if each.end_counts != each.start_counts or each.end_ns is None
+        ]
 
 
 Case = Callable[[Bench], Awaitable[None]]
@@ -90,19 +93,21 @@ def run(
     options: Mapping[str, Any] | None = None,
     simulate: Mapping[str, Any] | None = None,
     ppm: float = 0.0,
-    timing: Timing = TIMING,
+    timing: FirmwareTiming = TIMING,
     hold_ns: int = 0,
 ) -> None:
     async def main(clock: VirtualClock) -> None:
         fleet = config or controller()
-        unit = SHRC203.build(
+        unit = SHRC203.build_controller(
             clock, simulate or {}, oscillator=Oscillator(drift_ppm=ppm, seed=seed), timing=timing, seed=seed
         )
         wire = MemoryWire(
-            clock, serial_wire(38400, hold_ns=hold_ns), unit, unit.ports[0], "serial a", copy_context(), seed
+            clock, serial_wire(38400, hold_ns=hold_ns), unit, unit.port_names[0], "serial a", copy_context(), seed
         )
-        setup = Setup("a", fleet, MAKE.options.model_validate(options or {}), clock, wire.open, LoopFirer(clock))
-        driver = MAKE.driver(setup)
+        setup = DriverSetup(
+            "a", fleet, MAKE.options_model.model_validate(options or {}), clock, wire.open, LoopTimedWriter(clock)
+        )
+        driver = MAKE.create_driver(setup)
         assert isinstance(driver, ShrcDriver)
         await case(Bench(clock, unit, wire, driver, fleet))
         await driver.close()
@@ -130,14 +135,14 @@ def test_starts_and_ends_lie_in_the_claimed_spans(seed: int) -> None:
         await bench.ready()
         for _ in range(3):
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
-            seen = len(bench.unit.motions)
+            seen = len(bench.unit.commanded_motions)
             t0_ns = await bench.start(targets)
-            started = await bench.driver.started()
+            started = await bench.driver.wait_for_start()
             if draw.random() < 0.5:
                 await bench.driver.poll()
-            outcome = await bench.driver.outcome()
+            outcome = await bench.driver.wait_for_end()
             assert outcome.state == "done", outcome
-            truth = {each.axis: each for each in bench.unit.motions[seen:]}
+            truth = {each.axis: each for each in bench.unit.commanded_motions[seen:]}
             assert set(truth) == {NAMES[name] for name in targets}
             for name, target in targets.items():
                 motion = truth[NAMES[name]]
@@ -160,9 +165,9 @@ def test_the_answer_to_a_poll_is_not_taken_for_the_completion_of_a_move_that_is_
             await sleep_ns(bench.clock, after_ms * NS_PER_MS)
             await bench.driver.go()
             assert (await poll).inputs[1]
-            started = await bench.driver.started()
-            assert started["x"].earliest_ns <= bench.unit.motions[-1].start_ns <= started["x"].latest_ns
-            assert (await bench.driver.outcome()).state == "done"
+            started = await bench.driver.wait_for_start()
+            assert started["x"].earliest_ns <= bench.unit.commanded_motions[-1].start_ns <= started["x"].latest_ns
+            assert (await bench.driver.wait_for_end()).state == "done"
             assert len(bench.moved()) == number + 1
 
     run(case, config=controller(inputs={"start": {"number": 1}}))
@@ -172,9 +177,9 @@ def test_a_disarmed_move_never_runs() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000, "z": -4000})
-        await bench.driver.disarm()
-        await bench.driver.disarm()
-        await bench.driver.raw("G")  # whatever somebody does now
+        await bench.driver.disarm_move()
+        await bench.driver.disarm_move()
+        await bench.driver.send_raw("G")  # whatever somebody does now
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
 
@@ -189,12 +194,12 @@ def test_a_cancelled_fire_never_moves(before_ms: int) -> None:
         await sleep_ns(bench.clock, max(0, t0_ns - before_ms * NS_PER_MS - bench.clock.now_ns()))
         if bench.clock.now_ns() > t0_ns - 3 * NS_PER_MS:
             return  # the starting line is on the wire
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
         await bench.start({"x": 3000})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -215,25 +220,25 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": -70_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         await bench.driver.stop(abort)
-        outcome = await bench.driver.outcome()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == ("fault" if abort else "stopped"), outcome
-        for motion in bench.unit.motions:
+        for motion in bench.unit.commanded_motions:
             name = "x" if motion.axis == "1" else "y"
             assert motion.end_ns is not None
             assert outcome.ended[name].earliest_ns <= motion.end_ns <= outcome.ended[name].latest_ns
         await bench.driver.clear_faults()
-        await bench.driver.enable(["x", "y", "z"], True)
-        count = len(bench.unit.motions)
-        await bench.driver.raw("G:W")
+        await bench.driver.set_enabled(["x", "y", "z"], True)
+        count = len(bench.unit.commanded_motions)
+        await bench.driver.send_raw("G:W")
         await sleep_ns(bench.clock, NS_PER_S)
         if "repeat_executed" not in simulate:  # there the unit itself runs again what it has run
-            assert not [each for each in bench.unit.motions[count:] if each.end_counts != each.start_counts]
+            assert not [each for each in bench.unit.commanded_motions[count:] if each.end_counts != each.start_counts]
         await bench.start({"x": 0})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, simulate=simulate)
 
@@ -241,7 +246,7 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
 def test_homing_finds_the_origin() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.home(["x", "z"], lambda _: None)
+        await bench.driver.home_axes(["x", "z"], lambda _: None)
         reading = await bench.driver.poll()
         assert reading.axes["x"].commanded_counts == reading.axes["z"].commanded_counts == 0
         assert not any(axis.moving for axis in reading.axes.values())
@@ -254,10 +259,10 @@ def test_a_limit_in_motion_is_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": 10_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         bench.unit.set_limit("1", "forward")
-        outcome = await bench.driver.outcome()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "limit" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].limit == "forward" and reading.axes["y"].limit == "none"
@@ -273,7 +278,7 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
             await bench.arm({"x": 5000})
         elif when == "moving":
             await bench.start({"x": 80_000})
-            await bench.driver.started()
+            await bench.driver.wait_for_start()
             await sleep_ns(bench.clock, 200 * NS_PER_MS)
         bench.unit.set_power(False)
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
@@ -284,12 +289,12 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
             await bench.ready()
             return
         if when == "armed":
-            with pytest.raises(CannotDo):
-                await bench.driver.verify()
+            with pytest.raises(Refusal):
+                await bench.driver.verify_armed()
         await sees_the_restart(bench.driver)
         await bench.start({"x": 1000})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -309,11 +314,11 @@ def test_a_refusal_while_arming_leaves_nothing_loaded(nth: int) -> None:
         bench.wire.to_near = refuse
         try:
             await bench.arm({"x": 5000, "y": 7000})
-        except (CannotDo, DriverFault) as error:
+        except (Refusal, ControllerFault) as error:
             assert "NG" in str(error) or "load" in str(error) or "understood" in str(error)
         bench.wire.to_near = None
-        await bench.driver.disarm()
-        await bench.driver.raw("G")
+        await bench.driver.disarm_move()
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
 
@@ -324,9 +329,9 @@ def test_silence_is_named() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.wire.cut = True
-        with pytest.raises(DriverFault, match="no answer") as caught:
+        with pytest.raises(ControllerFault, match="no reply") as caught:
             await bench.driver.poll()
-        assert caught.value.fault.code == "no-answer"
+        assert caught.value.code == "no-answer"
         bench.wire.cut = False
         await bench.driver.poll()
 
@@ -337,10 +342,10 @@ def test_garbage_is_named_and_one_garbled_line_survived() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.wire.to_near = lambda data: b"\xf3" + data[1:]
-        with pytest.raises(DriverFault) as caught:
-            await bench.driver.raw("Q:")
+        with pytest.raises(ControllerFault) as caught:
+            await bench.driver.send_raw("Q:")
             await bench.driver.poll()
-        assert caught.value.fault.code in ("garbage", "no-answer")
+        assert caught.value.code in ("garbage", "no-answer")
         garbled = 0
 
         def once(data: bytes) -> bytes:
@@ -362,11 +367,11 @@ def test_a_lost_answer_or_completion_does_not_lose_the_move(lose: bytes) -> None
         await bench.ready()
         await bench.start({"x": 60_000})
         bench.wire.to_near = lambda data: b"" if data == lose else data
-        started = await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        started = await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         bench.wire.to_near = None
         assert outcome.state == "done"
-        (motion,) = bench.unit.motions
+        (motion,) = bench.unit.commanded_motions
         assert motion.end_ns is not None
         assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns

@@ -39,17 +39,17 @@ def test_a_stage_drives_the_line_that_starts_another(seed: int) -> None:
     async def main(world: VirtualFleet) -> None:
         assert (await outcome(world, PREPARE)).state == "done"
         for targets, ways in MOVES.items():
-            before = {name: len(unit.motions) for name, unit in world.controllers.items()}
+            before = {name: len(unit.commanded_motions) for name, unit in world.controllers.items()}
             asked = job(f"[{{do: move, to: {targets}, start: line}}]", max_start_skew="20 ms")
             report = await outcome(world, asked)
             assert report.state == "done", report.reason
             (step,) = report.steps
             assert {name: member.start_class for name, member in step.members.items()} == ways
-            made = [m for name, unit in world.controllers.items() for m in unit.motions[before[name] :]]
+            made = [m for name, unit in world.controllers.items() for m in unit.commanded_motions[before[name] :]]
             assert len(made) == targets.count(":")
             starts = [each.start_ns for each in made]
             assert step.start_skew is not None
             assert step.start_skew.at_least_ns <= max(starts) - min(starts) <= step.start_skew.at_most_ns
-            assert not world.controllers["stage"].output(3)
+            assert not world.controllers["stage"].output_level(3)
 
     run_fleet(main, fleet(), seed)

@@ -8,9 +8,10 @@ import pytest
 from unit.adapters.test_shrc203_driver import Bench, controller, run
 from unit.adapters.watching import Polling, at_rest, not_found
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import Refusal
 
 
 def mixed(*methods: str) -> Any:
@@ -23,10 +24,10 @@ def mixed(*methods: str) -> Any:
     return fleet.model_copy(update={"axes": axes})
 
 
-async def homed(bench: Bench, *axes: str) -> Mapping[str, CannotDo]:
+async def homed(bench: Bench, *axes: str) -> Mapping[str, Refusal]:
     """Home, and see that what is said to be found and what has failed are all."""
     found: list[str] = []
-    failed = await bench.driver.home(axes, found.append)
+    failed = await bench.driver.home_axes(axes, found.append)
     assert sorted([*found, *failed]) == sorted(axes)
     return failed
 
@@ -39,12 +40,12 @@ def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> No
             assert not await homed(bench, "x", "y", "z")
         reading = await bench.driver.poll()
         assert all(axis.commanded_counts == 0 and not axis.moving for axis in reading.axes.values())
-        starts = sorted(motion.start_ns for motion in bench.unit.motions)
+        starts = sorted(motion.start_ns for motion in bench.unit.commanded_motions)
         assert len(starts) == 3
         assert (starts[2] - starts[0] < 200 * NS_PER_MS) != ("busy_anywhere" in simulate)
         await bench.start({"x": 500, "y": 500})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, config=mixed("orgs", "mini", "default"), simulate=simulate)
 
@@ -52,13 +53,13 @@ def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> No
 def test_the_rest_is_done_though_one_fails() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.enable(["y"], False)
+        await bench.driver.set_enabled(["y"], False)
         failed = await homed(bench, "x", "y", "z")
-        assert {axis: error.refusal.code for axis, error in failed.items()} == {"y": "not-enabled"}
-        assert {motion.axis for motion in bench.unit.motions} == {"1", "3"}
-        with pytest.raises(CannotDo, match="axis y is not enabled"):
+        assert {axis: error.code for axis, error in failed.items()} == {"y": "not-enabled"}
+        assert {motion.axis for motion in bench.unit.commanded_motions} == {"1", "3"}
+        with pytest.raises(Refusal, match="axis y is not enabled"):
             await homed(bench, "y")
-        assert not bench.unit.moving("2")
+        assert not bench.unit.is_moving("2")
 
     run(case)
 
@@ -67,8 +68,8 @@ def test_each_axis_is_told_as_soon_as_it_is_there() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         told_ns: dict[str, int] = {}
-        await bench.driver.home(["x", "y"], lambda axis: told_ns.update({axis: bench.clock.now_ns()}))
-        for motion in bench.unit.motions:
+        await bench.driver.home_axes(["x", "y"], lambda axis: told_ns.update({axis: bench.clock.now_ns()}))
+        for motion in bench.unit.commanded_motions:
             assert motion.end_ns is not None
             assert 0 < told_ns["xyz"[int(motion.axis) - 1]] - motion.end_ns < 100 * NS_PER_MS
         assert told_ns["y"] - told_ns["x"] > 300 * NS_PER_MS
@@ -81,7 +82,7 @@ def test_an_error_that_stands_is_named() -> None:
         await bench.ready()
         await bench.driver.stop(True)
         await bench.driver.poll()
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await homed(bench, "x")
         assert not bench.moved()
 
@@ -93,13 +94,13 @@ def test_an_origin_that_never_comes_ends_on_the_limit_sensor(coordinate: int) ->
     async def case(bench: Bench) -> None:
         await bench.ready()
         # Where the sensor stops it, the coordinate happens to be 0.
-        await bench.driver.raw(f"PSET:1+P{coordinate}")
+        await bench.driver.send_raw(f"PSET:1+P{coordinate}")
         failed = await homed(bench, "x", "z")
         assert set(failed) == {"x"}
         assert "limit" in str(failed["x"])
         reading = await bench.driver.poll()
         assert reading.axes["x"].limit == "reverse" and reading.axes["z"].commanded_counts == 0
-        await bench.driver.jog("x", JogMove(10_000.0, 100_000.0, coordinate + 100))
+        await bench.driver.jog_axis("x", JogMove(10_000.0, 100_000.0, coordinate + 100))
         await at_rest(bench.clock, bench.unit, "1", NS_PER_S)
         assert (await bench.driver.poll()).axes["x"].limit == "none"
 
@@ -128,9 +129,9 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool,
         await (bench.driver.stop(False) if whole else bench.driver.stop_axes(["x"]))
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         assert not_found(outcome, "x")
-        assert not bench.unit.moving("1")
+        assert not bench.unit.is_moving("1")
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
-        assert not bench.unit.moving("1")
+        assert not bench.unit.is_moving("1")
         assert not await homed(bench, "x")
 
     run(case, seed=after_ms, simulate={"completion_after_stop": speaks})
@@ -151,7 +152,7 @@ def test_a_cancelled_search_is_ended_by_a_stop_and_polls_stay_right(after_ms: in
             reading = await bench.driver.poll()
             assert reading.inputs[1] is False  # a completion line is not taken for the inputs
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        assert not bench.unit.moving("1") and not bench.unit.moving("2")
+        assert not bench.unit.is_moving("1") and not bench.unit.is_moving("2")
         reading = await bench.driver.poll()
         assert reading.inputs[2]
         await bench.driver.set_output(1, True)
@@ -176,7 +177,7 @@ def test_a_power_cycle_in_between_is_no_success(after_ms: int, polls: bool) -> N
                 await bench.driver.poll()
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         why = not_found(outcome, "x")
-        assert "restarted" in why or "no answer" in why
+        assert "restarted" in why or "no reply" in why
 
     run(case)
 
@@ -186,11 +187,11 @@ def test_a_cancelled_search_is_ended_by_itself() -> None:
         await bench.ready()
         search = asyncio.create_task(homed(bench, "x", "y"))
         await sleep_ns(bench.clock, 80 * NS_PER_MS)
-        assert bench.unit.moving("1") and bench.unit.moving("2")
+        assert bench.unit.is_moving("1") and bench.unit.is_moving("2")
         search.cancel()
         await asyncio.gather(search, return_exceptions=True)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        assert not bench.unit.moving("1") and not bench.unit.moving("2")
+        assert not bench.unit.is_moving("1") and not bench.unit.is_moving("2")
 
     run(case)
 
@@ -198,16 +199,16 @@ def test_a_cancelled_search_is_ended_by_itself() -> None:
 def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        assert not any(axis.lost for axis in (await bench.driver.poll()).axes.values())
-        await bench.driver.enable(["x"], False)
-        bench.unit.push("1", 700)
+        assert not any(axis.position_lost for axis in (await bench.driver.poll()).axes.values())
+        await bench.driver.set_enabled(["x"], False)
+        bench.unit.push_axis("1", 700)
         reading = await bench.driver.poll()
-        assert reading.axes["x"].lost and not reading.axes["y"].lost
+        assert reading.axes["x"].position_lost and not reading.axes["y"].position_lost
         assert reading.axes["x"].commanded_counts == 0
-        await bench.driver.enable(["x"], True)
-        assert not (await bench.driver.poll()).axes["x"].lost
+        await bench.driver.set_enabled(["x"], True)
+        assert not (await bench.driver.poll()).axes["x"].position_lost
         await homed(bench, "x")
-        assert bench.unit.motions[0].end_counts == -1700  # the origin is as much farther away
+        assert bench.unit.commanded_motions[0].end_counts == -1700  # the origin is as much farther away
 
     run(case)
 
@@ -215,17 +216,17 @@ def test_an_open_loop_stage_whose_motor_was_off_has_lost_its_position() -> None:
 def test_a_closed_loop_keeps_its_position_and_takes_the_stage_back() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.enable(["x"], False)
-        bench.unit.push("1", 700)
+        await bench.driver.set_enabled(["x"], False)
+        bench.unit.push_axis("1", 700)
         reading = (await bench.driver.poll()).axes["x"]
-        assert not reading.lost
+        assert not reading.position_lost
         assert (reading.commanded_counts, reading.actual_counts) == (0, 700.0)
-        await bench.driver.enable(["x"], True)
+        await bench.driver.set_enabled(["x"], True)
         reading = (await bench.driver.poll()).axes["x"]
         assert (reading.commanded_counts, reading.actual_counts) == (0, 0.0)
         await bench.start({"x": 1000})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
         assert (await bench.driver.poll()).axes["x"].actual_counts == 1000.0
 
     run(case, options={"loop": "closed"}, simulate={"scales": True})

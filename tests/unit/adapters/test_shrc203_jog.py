@@ -8,9 +8,10 @@ import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from unit.adapters.watching import Hand, Polling, Watch, at_rest
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from sim.core.controller import Timing
+from orchestrator.model.errors import Refusal
+from sim.core.controller import FirmwareTiming
 
 RAMP = 400_000.0  # pls/s²
 STOP_NS = 25 * NS_PER_MS  # a stop's characters, and the decoding of what was written before it
@@ -38,7 +39,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Watch(bench.clock, bench.unit, "12") as tracks:
-            await bench.driver.jog("x", jog(sign * 30_000.9, end and sign * end))
+            await bench.driver.jog_axis("x", jog(sign * 30_000.9, end and sign * end))
             await sleep_ns(bench.clock, 500 * NS_PER_MS)
             reading = await bench.driver.poll()
             assert reading.axes["x"].moving and not reading.axes["y"].moving
@@ -49,7 +50,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
         assert tracks["1"].fastest <= 30_000.9
         assert tracks["1"].steepest() <= RAMP * 1.01
         assert tracks["2"].fastest == 0
-        (motion,) = bench.unit.motions
+        (motion,) = bench.unit.commanded_motions
         assert motion.slowing_ns is not None and motion.end_ns is not None
         assert 0 < motion.slowing_ns - ordered_ns < STOP_NS
         assert motion.end_ns - motion.slowing_ns == pytest.approx(30_000 / RAMP * NS_PER_S, rel=0.02)
@@ -63,7 +64,7 @@ def test_it_comes_to_rest_exactly_at_the_end_of_its_way_without_another_word(spe
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Watch(bench.clock, bench.unit, "1") as tracks:
-            await bench.driver.jog("x", jog(speed, end))
+            await bench.driver.jog_axis("x", jog(speed, end))
             bench.wire.cut = True
             assert await rested(bench, within_s=5) == end
         assert tracks["1"].between(min(0, end), max(0, end))
@@ -79,7 +80,7 @@ def test_speed_and_direction_are_changed_by_way_of_a_stop(ends: tuple[int | None
         signs = (1, 1) if ends[0] == ends[1] else (1, -1)
         async with Watch(bench.clock, bench.unit, "1") as tracks:
             for sign, end, speed in zip(signs, ends, (10_000.0, 30_000.0), strict=True):
-                await bench.driver.jog("x", jog(sign * speed, end))
+                await bench.driver.jog_axis("x", jog(sign * speed, end))
                 await sleep_ns(bench.clock, 300 * NS_PER_MS)
                 assert bench.unit.velocity("1") == pytest.approx(sign * speed)
         assert tracks["1"].steepest() <= RAMP * 1.01
@@ -93,9 +94,9 @@ def test_the_same_jog_again_is_no_stop() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         for _ in range(5):
-            await bench.driver.jog("x", jog(10_000.0, 90_000))
+            await bench.driver.jog_axis("x", jog(10_000.0, 90_000))
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        assert len(bench.unit.motions) == 1 and bench.unit.motions[0].slowing_ns is None
+        assert len(bench.unit.commanded_motions) == 1 and bench.unit.commanded_motions[0].slowing_ns is None
 
     run(case)
 
@@ -104,7 +105,7 @@ def test_a_ramp_longer_than_the_unit_has_makes_the_jog_slower() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         async with Watch(bench.clock, bench.unit, "1") as tracks:
-            await bench.driver.jog("x", jog(50_000.0, None, 10_000.0))
+            await bench.driver.jog_axis("x", jog(50_000.0, None, 10_000.0))
             await sleep_ns(bench.clock, 1500 * NS_PER_MS)
         assert tracks["1"].fastest == pytest.approx(10_000, rel=1e-3)
         assert tracks["1"].steepest() <= 10_000 * 1.01
@@ -115,21 +116,21 @@ def test_a_ramp_longer_than_the_unit_has_makes_the_jog_slower() -> None:
 def test_axes_jog_beside_each_other_and_stop_alone() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", jog(30_000.0, 80_000))
-        await bench.driver.jog("y", jog(-20_000.0))
+        await bench.driver.jog_axis("x", jog(30_000.0, 80_000))
+        await bench.driver.jog_axis("y", jog(-20_000.0))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         await bench.driver.stop_axes(["x"])
         await rested(bench)
         assert bench.unit.velocity("2") == pytest.approx(-20_000)
-        await bench.driver.jog("x", jog(-10_000.0, -500))
+        await bench.driver.jog_axis("x", jog(-10_000.0, -500))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         await bench.driver.stop_axes([])
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        assert bench.unit.moving("2")
+        assert bench.unit.is_moving("2")
         await bench.driver.stop(False)
         await rested(bench)
         await rested(bench, "2")
-        assert not bench.unit.moving("1")
+        assert not bench.unit.is_moving("1")
 
     run(case)
 
@@ -137,13 +138,13 @@ def test_axes_jog_beside_each_other_and_stop_alone() -> None:
 def test_a_unit_that_moves_one_axis_at_a_time_says_so() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", jog(10_000.0, 80_000))
-        with pytest.raises(CannotDo, match="NG"):
-            await bench.driver.jog("y", jog(10_000.0, 80_000))
-        assert bench.unit.moving("1") and not bench.unit.moving("2")
+        await bench.driver.jog_axis("x", jog(10_000.0, 80_000))
+        with pytest.raises(Refusal, match="NG"):
+            await bench.driver.jog_axis("y", jog(10_000.0, 80_000))
+        assert bench.unit.is_moving("1") and not bench.unit.is_moving("2")
         await bench.driver.stop_axes(["x"])
         await rested(bench)
-        await bench.driver.jog("y", jog(10_000.0, 3000))
+        await bench.driver.jog_axis("y", jog(10_000.0, 3000))
         assert await rested(bench, "2") == 3000
 
     run(case, simulate={"busy_anywhere": True})
@@ -161,11 +162,11 @@ def test_a_unit_that_moves_one_axis_at_a_time_says_so() -> None:
 def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo) as refused:
-            await bench.driver.jog("x", move)
-        assert refused.value.refusal.code == code
+        with pytest.raises(Refusal) as refused:
+            await bench.driver.jog_axis("x", move)
+        assert refused.value.code == code
         await sleep_ns(bench.clock, NS_PER_S)
-        assert not bench.unit.motions
+        assert not bench.unit.commanded_motions
 
     run(case)
 
@@ -177,10 +178,10 @@ def test_below_its_start_rate_an_axis_does_not_jog() -> None:
 
     async def case(bench: Bench) -> None:
         await bench.ready()
-        with pytest.raises(CannotDo) as refused:
-            await bench.driver.jog("x", jog(499.0))
-        assert refused.value.refusal.remedy == "at least 500"
-        await bench.driver.jog("x", jog(500.0))
+        with pytest.raises(Refusal) as refused:
+            await bench.driver.jog_axis("x", jog(499.0))
+        assert refused.value.remedy == "at least 500"
+        await bench.driver.jog_axis("x", jog(500.0))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         assert bench.unit.velocity("1") == 500
 
@@ -190,17 +191,17 @@ def test_below_its_start_rate_an_axis_does_not_jog() -> None:
 def test_a_motor_that_is_off_an_error_and_another_motion_are_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.enable(["x"], False)
-        with pytest.raises(CannotDo, match="NG"):
-            await bench.driver.jog("x", jog(1000.0))
-        await bench.driver.raw("MP:2+P90000,S1F1000R10")
-        await bench.driver.raw("G:2")
-        with pytest.raises(CannotDo, match="is moving"):
-            await bench.driver.jog("y", jog(1000.0))
+        await bench.driver.set_enabled(["x"], False)
+        with pytest.raises(Refusal, match="NG"):
+            await bench.driver.jog_axis("x", jog(1000.0))
+        await bench.driver.send_raw("MP:2+P90000,S1F1000R10")
+        await bench.driver.send_raw("G:2")
+        with pytest.raises(Refusal, match="is moving"):
+            await bench.driver.jog_axis("y", jog(1000.0))
         await bench.driver.stop(True)
-        with pytest.raises(CannotDo, match="emergency"):
-            await bench.driver.jog("z", jog(1000.0))
-        assert [motion.axis for motion in bench.unit.motions] == ["2"]
+        with pytest.raises(Refusal, match="emergency"):
+            await bench.driver.jog_axis("z", jog(1000.0))
+        assert [motion.axis for motion in bench.unit.commanded_motions] == ["2"]
 
     run(case)
 
@@ -209,10 +210,10 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000})
-        with pytest.raises(CannotDo, match="loaded"):
-            await bench.driver.jog("x", jog(1000.0))
-        await bench.driver.disarm()
-        await bench.driver.jog("x", jog(-1000.0, -100))
+        with pytest.raises(Refusal, match="loaded"):
+            await bench.driver.jog_axis("x", jog(1000.0))
+        await bench.driver.disarm_move()
+        await bench.driver.jog_axis("x", jog(-1000.0, -100))
         assert await rested(bench) == -100
 
     run(case)
@@ -222,18 +223,18 @@ def test_a_loaded_step_is_not_started_by_a_jog() -> None:
 def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", jog(30_000.0, end))
+        await bench.driver.jog_axis("x", jog(30_000.0, end))
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
         bench.unit.set_limit("1", "forward")
         stopped_at = await rested(bench)
         reading = await bench.driver.poll()
         assert reading.axes["x"].limit == "forward" and not reading.faults
-        await bench.driver.jog("x", jog(30_000.0, end))
+        await bench.driver.jog_axis("x", jog(30_000.0, end))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         assert bench.unit.position("1") == stopped_at
-        await bench.driver.jog("x", jog(-30_000.0, end and -end))
+        await bench.driver.jog_axis("x", jog(-30_000.0, end and -end))
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
-        assert bench.unit.position("1") < stopped_at and bench.unit.moving("1")
+        assert bench.unit.position("1") < stopped_at and bench.unit.is_moving("1")
 
     run(case)
 
@@ -243,23 +244,23 @@ def test_after_jogs_a_step_and_homing_work_as_ever(simulate: dict[str, Any]) -> 
     async def case(bench: Bench) -> None:
         await bench.ready()
         for end in (None, 20_000, 4_000):
-            await bench.driver.jog("x", jog(10_000.0, end))
+            await bench.driver.jog_axis("x", jog(10_000.0, end))
             await sleep_ns(bench.clock, 200 * NS_PER_MS)
             await bench.driver.stop_axes(["x"])
             start = round(await rested(bench))
-            seen = len(bench.unit.motions)
+            seen = len(bench.unit.commanded_motions)
             await bench.start({"x": start - 2000, "y": 500 + start})
-            await bench.driver.started()
-            outcome = await bench.driver.outcome()
+            await bench.driver.wait_for_start()
+            outcome = await bench.driver.wait_for_end()
             assert outcome.state == "done", outcome
             assert bench.unit.position("1") == start - 2000
-            assert len(bench.unit.motions) == seen + 2
-        await bench.driver.jog("x", jog(10_000.0))
-        with pytest.raises(CannotDo):
-            await bench.driver.home(["x"], lambda _: None)
+            assert len(bench.unit.commanded_motions) == seen + 2
+        await bench.driver.jog_axis("x", jog(10_000.0))
+        with pytest.raises(Refusal):
+            await bench.driver.home_axes(["x"], lambda _: None)
         await bench.driver.stop_axes(["x"])
         await rested(bench)
-        assert not await bench.driver.home(["x"], lambda _: None)
+        assert not await bench.driver.home_axes(["x"], lambda _: None)
         assert (await bench.driver.poll()).axes["x"].commanded_counts == 0
 
     run(case, simulate=simulate)
@@ -268,14 +269,14 @@ def test_after_jogs_a_step_and_homing_work_as_ever(simulate: dict[str, Any]) -> 
 def test_inputs_outputs_and_motors_are_seen_while_axes_jog() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", jog(10_000.0))
+        await bench.driver.jog_axis("x", jog(10_000.0))
         bench.unit.set_input(2, True)
         await sleep_ns(bench.clock, 10 * NS_PER_MS)
         reading = await bench.driver.poll()
         assert reading.inputs == {number: number == 2 for number in range(1, 7)}
         await bench.driver.set_output(1, True)
         assert (await bench.driver.poll()).outputs[1]
-        assert bench.unit.moving("1")
+        assert bench.unit.is_moving("1")
 
     run(case, config=controller(inputs={"door": {"number": 2}}, outputs={"lamp": {"number": 1}}))
 
@@ -285,25 +286,25 @@ def test_inputs_outputs_and_motors_are_seen_while_axes_jog() -> None:
 def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_ms: int, abort: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("y", jog(5_000.0))
-        begun = asyncio.create_task(bench.driver.jog("x", jog(20_000.0, 50_000)))
+        await bench.driver.jog_axis("y", jog(5_000.0))
+        begun = asyncio.create_task(bench.driver.jog_axis("x", jog(20_000.0, 50_000)))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         if abort:
             await bench.driver.stop(True)
         else:
             await bench.driver.stop_axes(["x"])
         (outcome,) = await asyncio.gather(begun, return_exceptions=True)
-        assert outcome is None or isinstance(outcome, CannotDo)
+        assert outcome is None or isinstance(outcome, Refusal)
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
-        assert not bench.unit.moving("1")
-        assert bench.unit.moving("2") != abort
+        assert not bench.unit.is_moving("1")
+        assert bench.unit.is_moving("2") != abort
         assert bench.unit.position("1") < 1500
         if abort:
             await bench.driver.clear_faults()
-            await bench.driver.enable(["x"], True)
-        await bench.driver.jog("x", jog(20_000.0, 50_000))
+            await bench.driver.set_enabled(["x"], True)
+        await bench.driver.jog_axis("x", jog(20_000.0, 50_000))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        assert bench.unit.moving("1")
+        assert bench.unit.is_moving("1")
 
     run(case, seed=after_ms)
 
@@ -315,9 +316,9 @@ def test_a_change_of_direction_that_is_stopped_or_cancelled_leaves_the_driver_us
 ) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.jog("x", jog(5_000.0, 50_000))
+        await bench.driver.jog_axis("x", jog(5_000.0, 50_000))
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
-        turned = asyncio.create_task(bench.driver.jog("x", jog(-5_000.0, -50_000)))
+        turned = asyncio.create_task(bench.driver.jog_axis("x", jog(-5_000.0, -50_000)))
         await sleep_ns(bench.clock, after_ms * NS_PER_MS)
         if cancel:
             turned.cancel()
@@ -325,9 +326,9 @@ def test_a_change_of_direction_that_is_stopped_or_cancelled_leaves_the_driver_us
         await bench.driver.stop_axes(["x"])
         await asyncio.gather(turned, return_exceptions=True)
         await sleep_ns(bench.clock, 200 * NS_PER_MS)
-        assert not bench.unit.moving("1")
+        assert not bench.unit.is_moving("1")
         await bench.driver.poll()
-        await bench.driver.jog("x", jog(20_000.0, 2_000))
+        await bench.driver.jog_axis("x", jog(20_000.0, 2_000))
         assert await rested(bench) == 2_000
 
     run(case, seed=after_ms)
@@ -338,12 +339,12 @@ def test_a_lost_answer_never_leaves_an_axis_running(lose: bytes) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.wire.to_near = lambda data: b"" if lose in data else data
-        (outcome,) = await asyncio.gather(bench.driver.jog("x", jog(20_000.0, 50_000)), return_exceptions=True)
+        (outcome,) = await asyncio.gather(bench.driver.jog_axis("x", jog(20_000.0, 50_000)), return_exceptions=True)
         assert outcome is not None
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
-        assert not bench.unit.moving("1")
+        assert not bench.unit.is_moving("1")
         bench.wire.to_near = None
-        await bench.driver.jog("x", jog(20_000.0, 5_000))
+        await bench.driver.jog_axis("x", jog(20_000.0, 5_000))
         assert await rested(bench) == 5_000
 
     run(case)
@@ -364,7 +365,7 @@ def test_a_noisy_line_never_sends_an_axis_past_its_end(seed: int) -> None:
         async with Watch(bench.clock, bench.unit, "123", 5 * NS_PER_MS) as tracks:
             for _ in range(5):
                 bench.wire.to_far = garble
-                await asyncio.gather(bench.driver.jog("x", jog(20_000.0, 3_000)), return_exceptions=True)
+                await asyncio.gather(bench.driver.jog_axis("x", jog(20_000.0, 3_000)), return_exceptions=True)
                 await sleep_ns(bench.clock, 300 * NS_PER_MS)
                 bench.wire.to_far = None
                 await bench.driver.stop_axes(["x"])
@@ -393,7 +394,7 @@ def test_random_hands_never_pass_the_end_nor_the_speed(seed: int) -> None:
             await hand.play(15)
         await hand.check(tracks["1"])
 
-    run(case, seed=seed, simulate=KNOBS[seed % len(KNOBS)], timing=Timing(1_000_000, seed % 3 * 1_000_000))
+    run(case, seed=seed, simulate=KNOBS[seed % len(KNOBS)], timing=FirmwareTiming(1_000_000, seed % 3 * 1_000_000))
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -9,9 +9,9 @@ import pytest
 from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.shrc203 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 
 
 async def by_hand(bench: Bench, *lines: str, end: str = "\r\n") -> None:
@@ -46,14 +46,14 @@ def test_leftovers_never_move_and_are_gone_after_connecting(lines: tuple[str, ..
     async def case(bench: Bench) -> None:
         await by_hand(bench, *lines)
         await bench.ready()
-        await bench.driver.raw("G")
+        await bench.driver.send_raw("G")
         for number in range(1, 7):
             bench.unit.set_input(number, number == 1)
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved()
         await bench.start({"x": 2000, "y": -3000})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
         assert [each.end_counts for each in bench.moved()] in ([2000, -3000], [-3000, 2000])
 
     run(
@@ -66,11 +66,11 @@ def test_a_half_typed_line_does_not_harm() -> None:
         await by_hand(bench, "M:1+P100", end="")
         await bench.ready()
         assert not bench.moved()
-        await bench.driver.raw("G")
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         await bench.start({"x": 2000})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -88,9 +88,9 @@ def test_a_moving_unit_is_not_stopped() -> None:
 def test_a_unit_that_never_rests_is_named() -> None:
     async def case(bench: Bench) -> None:
         await by_hand(bench, "J:1+", "G:1")
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await bench.driver.connect()
-        assert caught.value.fault.code == "moving"
+        assert caught.value.code == "moving"
         await bench.driver.stop(False)
         await sleep_ns(bench.clock, NS_PER_S)
         assert bench.unit.at_rest()
@@ -107,7 +107,7 @@ def test_an_emergency_stop_is_reported_and_cleared_by_a_reset_only() -> None:
         await bench.driver.clear_faults()
         reading = await bench.driver.poll()
         assert not reading.faults and not reading.axes["x"].enabled
-        await bench.driver.enable(["x"], True)
+        await bench.driver.set_enabled(["x"], True)
         assert (await bench.driver.poll()).axes["x"].enabled
 
     run(case)
@@ -121,9 +121,9 @@ def test_what_is_queued_on_an_axis_in_an_error_is_emptied_after_the_reset(anew: 
         await bench.ready()
         await bench.start({"x": 5000})
         bench.unit.set_limit("1", "both")
-        with pytest.raises(DriverFault):
-            await bench.driver.started()
-        await bench.driver.disarm()
+        with pytest.raises(ControllerFault):
+            await bench.driver.wait_for_start()
+        await bench.driver.disarm_move()
         if anew:
             await bench.driver.close()
             await bench.driver.connect()
@@ -135,11 +135,11 @@ def test_what_is_queued_on_an_axis_in_an_error_is_emptied_after_the_reset(anew: 
             assert not (await bench.driver.poll()).faults
         bench.wire.links[-1].write(b"G:1\r\n")
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
-        assert not bench.unit.moving("1") and not any(each.end_counts for each in bench.unit.motions)
+        assert not bench.unit.is_moving("1") and not any(each.end_counts for each in bench.unit.commanded_motions)
         await bench.driver.poll()
         await bench.start({"x": 1234})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -153,23 +153,23 @@ def test_a_restart_behind_an_open_line_is_noticed(when: str) -> None:
         elif when != "idle":
             t0_ns = await bench.start({"x": 80_000})
             if when == "moving":
-                await bench.driver.started()
+                await bench.driver.wait_for_start()
                 await sleep_ns(bench.clock, t0_ns + 200 * NS_PER_MS - bench.clock.now_ns())
         bench.wire.links[-1].write(b"RESET:\r\n")
         if when == "armed":
             await sleep_ns(bench.clock, 3500 * NS_PER_MS)
-            with pytest.raises(CannotDo):
-                await bench.driver.verify()
+            with pytest.raises(Refusal):
+                await bench.driver.verify_armed()
         elif when == "released":
-            with pytest.raises(DriverFault):
-                await bench.driver.started()
-                await bench.driver.outcome()
+            with pytest.raises(ControllerFault):
+                await bench.driver.wait_for_start()
+                await bench.driver.wait_for_end()
         await sleep_ns(bench.clock, 3500 * NS_PER_MS)
         await sees_the_restart(bench.driver)
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         await bench.start({"x": 1234})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -183,12 +183,12 @@ def test_units_with_fewer_controllable_axes(names: str, fixed: int | None) -> No
         for _ in range(4):
             targets = {name: draw.randrange(-9000, 9000) for name in names}
             await bench.start(targets)
-            await bench.driver.started()
+            await bench.driver.wait_for_start()
             await bench.driver.poll()
-            assert (await bench.driver.outcome()).state == "done"
+            assert (await bench.driver.wait_for_end()).state == "done"
             reading = await bench.driver.poll()
             assert {name: axis.commanded_counts for name, axis in reading.axes.items()} == targets
-        await bench.driver.home(list(names), lambda _: None)
+        await bench.driver.home_axes(list(names), lambda _: None)
 
     simulate = {"controllable": [int(NAMES[name]) for name in names], "fixed_decimals": fixed}
     run(case, config=controller(names), simulate=simulate)
@@ -207,9 +207,9 @@ def test_a_unit_of_another_configuration_is_refused(
 ) -> None:
     async def case(bench: Bench) -> None:
         await bench.driver.connect()
-        with pytest.raises(DriverFault, match=said) as caught:
+        with pytest.raises(ControllerFault, match=said) as caught:
             await bench.driver.configure()
-        assert caught.value.fault.code == "config-mismatch"
+        assert caught.value.code == "config-mismatch"
 
     run(case, simulate=simulate, options=options)
 
@@ -226,13 +226,13 @@ def test_inputs_and_outputs() -> None:
         reading = await bench.driver.poll()
         assert reading.inputs[2] and not reading.inputs[1]
         assert reading.outputs[1] and not reading.outputs[4]
-        assert bench.unit.output(1) and not bench.unit.output(4)
+        assert bench.unit.output_level(1) and not bench.unit.output_level(4)
         await bench.start({"x": 40_000, "y": 8_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         for _ in range(6):  # the input word is 2 while completions 1 and 2 are owed
             reading = await bench.driver.poll()
             assert reading.inputs[2] and not reading.inputs[1]
-        assert (await bench.driver.outcome()).state == "done"
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, config=config)
 
@@ -242,8 +242,8 @@ def test_a_closed_loop(settle_ms: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "done"
         (motion,) = bench.moved()
         assert motion.end_ns is not None
@@ -255,14 +255,14 @@ def test_a_closed_loop(settle_ms: int) -> None:
 def test_a_stop_with_one_motor_off_stops_the_others() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.enable(["z"], False)
+        await bench.driver.set_enabled(["z"], False)
         await bench.start({"x": 90_000, "y": 80_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         await bench.driver.stop(False)
-        assert (await bench.driver.outcome()).state == "stopped"
-        with pytest.raises(CannotDo):
+        assert (await bench.driver.wait_for_end()).state == "stopped"
+        with pytest.raises(Refusal):
             await bench.arm({"z": 100})
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
 
     run(case)
 
@@ -271,12 +271,12 @@ def test_a_stop_from_a_link_of_its_own() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 90_000, "y": 80_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         link = await bench.wire.open()
         link.write(MAKE.stop_bytes(bench.config))
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
         assert bench.unit.at_rest()
-        assert (await bench.driver.outcome()).state == "fault"
+        assert (await bench.driver.wait_for_end()).state == "fault"
 
     run(case)
 
@@ -290,10 +290,10 @@ def test_stops_at_any_moment_leave_nothing_that_moves(seed: int) -> None:
             t0_ns = await bench.start({"x": draw.randrange(5_000), "y": draw.randrange(-5_000, 0)})
             await sleep_ns(bench.clock, max(0, t0_ns - bench.clock.now_ns()) + draw.randrange(-5, 8) * NS_PER_MS)
             await bench.driver.stop(False)
-            await bench.driver.disarm()
+            await bench.driver.disarm_move()
             await sleep_ns(bench.clock, NS_PER_S)
             count = len(bench.moved())
-            await bench.driver.raw("G")
+            await bench.driver.send_raw("G")
             await sleep_ns(bench.clock, NS_PER_S)
             assert len(bench.moved()) == count
 
@@ -306,10 +306,10 @@ def test_a_stop_while_armed_is_tidied_up_by_the_next_poll() -> None:
         await bench.arm({"x": 5000})
         await bench.driver.stop(False)
         await bench.driver.poll()
-        await bench.driver.raw("G")
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await bench.driver.go()
 
     run(case)
@@ -327,11 +327,11 @@ def test_polls_beside_everything_harm_nothing() -> None:
         draw = Random(5)
         for _ in range(8):
             targets = {name: draw.randrange(-20_000, 20_000) for name in "xyz"}
-            seen = len(bench.unit.motions)
+            seen = len(bench.unit.commanded_motions)
             t0_ns = await bench.start(targets)
-            started = await bench.driver.started()
-            assert (await bench.driver.outcome()).state == "done"
-            for motion in bench.unit.motions[seen:]:
+            started = await bench.driver.wait_for_start()
+            assert (await bench.driver.wait_for_end()).state == "done"
+            for motion in bench.unit.commanded_motions[seen:]:
                 assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
                 assert -1 * NS_PER_MS < motion.start_ns - t0_ns < 2.3 * NS_PER_MS
         task.cancel()
@@ -343,10 +343,10 @@ def test_a_start_that_was_taken_back_is_not_waited_for() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 5000})
-        waiting = asyncio.get_running_loop().create_task(bench.driver.started())
+        waiting = asyncio.get_running_loop().create_task(bench.driver.wait_for_start())
         await sleep_ns(bench.clock, NS_PER_MS)
         await bench.driver.stop(False)
-        with pytest.raises(DriverFault, match="taken back"):
+        with pytest.raises(ControllerFault, match="cancelled"):
             await waiting
 
     run(case)
@@ -356,8 +356,8 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "does not settle" in outcome.reason
 
     run(case, simulate={"scales": True, "settle_ms": 10_000}, options={"loop": "closed"})
@@ -381,13 +381,13 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
             bench.wire.to_far = bench.wire.to_near = garble
             try:
                 await bench.start(targets)
-                await bench.driver.started()
-                await bench.driver.outcome()
-            except (CannotDo, DriverFault):
+                await bench.driver.wait_for_start()
+                await bench.driver.wait_for_end()
+            except (Refusal, ControllerFault):
                 bench.wire.to_far = bench.wire.to_near = None
-                await bench.driver.disarm()
+                await bench.driver.disarm_move()
             bench.wire.to_far = bench.wire.to_near = None
             await sleep_ns(bench.clock, 3 * NS_PER_S)
-        assert {each.end_counts for each in bench.unit.motions} <= allowed
+        assert {each.end_counts for each in bench.unit.commanded_motions} <= allowed
 
     run(case, seed=seed)

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo, DriverFault, Outcome, Span
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.shrc203 import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import LineDrive, LineWait, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait
 from orchestrator.plan.step import AxisMove, plan_step
 
 POINTS: dict[str, Any] = {
@@ -20,26 +21,26 @@ POINTS: dict[str, Any] = {
     "outputs": {"line": {"number": 3}, "low": {"number": 6, "active": "low"}},
 }
 CONFIG = controller("xyz", **POINTS)
-WINDOW = LineWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS)
-DRIVE = LineDrive(output="line", hold_ns=150 * NS_PER_MS)
+WINDOW = TriggerWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS)
+DRIVE = TriggerDrive(output="line", active_ns=150 * NS_PER_MS)
 LEAD_NS = 600 * NS_PER_MS
 
 
 async def armed(
-    bench: Bench, targets: Mapping[str, int], how: StartWay, lead_ns: int = LEAD_NS
+    bench: Bench, targets: Mapping[str, int], how: StartOptions, lead_ns: int = LEAD_NS
 ) -> tuple[int, tuple[int, int]]:
     """T0, and the start's window about it."""
     now = (await bench.driver.poll()).axes
     moves = [AxisMove(name, now[name].commanded_counts, to, 100_000.0, 500_000.0) for name, to in targets.items()]
-    lowered = bench.driver.lower(plan_step(moves).profiles if moves else {}, how, None)
+    lowered = bench.driver.lower_profiles(plan_step(moves).profiles if moves else {}, how, None)
     t0_ns = bench.clock.now_ns() + lead_ns
-    await bench.driver.arm(lowered, t0_ns, None)
+    await bench.driver.arm_move(lowered, t0_ns, None)
     return t0_ns, lowered.window_ns
 
 
-async def released(bench: Bench, targets: Mapping[str, int], how: StartWay) -> tuple[int, tuple[int, int]]:
+async def released(bench: Bench, targets: Mapping[str, int], how: StartOptions) -> tuple[int, tuple[int, int]]:
     found = await armed(bench, targets, how)
-    await bench.driver.verify()
+    await bench.driver.verify_armed()
     await bench.driver.go()
     return found
 
@@ -48,9 +49,9 @@ def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> N
     bench.clock.call_at_ns(at_ns, lambda: bench.unit.set_input(number, level))
 
 
-async def followed(bench: Bench) -> tuple[Mapping[str, Span], Outcome]:
-    started = await bench.driver.started()
-    return started, await bench.driver.outcome()
+async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
+    started = await bench.driver.wait_for_start()
+    return started, await bench.driver.wait_for_end()
 
 
 @pytest.mark.parametrize("other_inputs", [(), (1, 6)])
@@ -65,7 +66,7 @@ def test_the_edge_starts_all_axes_within_the_claimed_spans(seed: int, other_inpu
             bench.unit.set_input(2, False)
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
             before = len(bench.moved())
-            t0_ns, (earliest_ns, latest_ns) = await released(bench, targets, StartWay(wait=WINDOW))
+            t0_ns, (earliest_ns, latest_ns) = await released(bench, targets, StartOptions(wait=WINDOW))
             assert not bench.moved()[before:]
             raise_at(bench, t0_ns + draw.randrange(WINDOW.earliest_ns, WINDOW.latest_ns))
             started, outcome = await followed(bench)
@@ -92,7 +93,7 @@ def test_units_of_other_readings_start_by_line_as_well(simulate: dict[str, Any])
         await bench.ready()
         for target in (70_000, 69_000, 0):
             bench.unit.set_input(2, False)
-            t0_ns, _ = await released(bench, {"x": target}, StartWay(wait=WINDOW))
+            t0_ns, _ = await released(bench, {"x": target}, StartOptions(wait=WINDOW))
             raise_at(bench, t0_ns)
             started, outcome = await followed(bench)
             assert outcome.state == "done", outcome
@@ -109,7 +110,7 @@ def test_an_input_that_is_active_low_starts_when_its_current_stops() -> None:
     async def case(bench: Bench) -> None:
         bench.unit.set_input(5, True)
         await bench.ready()
-        how = StartWay(wait=WINDOW.model_copy(update={"input": "low"}))
+        how = StartOptions(wait=WINDOW.model_copy(update={"input": "low"}))
         t0_ns, _ = await released(bench, {"y": 3000}, how)
         raise_at(bench, t0_ns, 5, False)
         _, outcome = await followed(bench)
@@ -128,14 +129,14 @@ def test_power_lost_and_back_before_the_start_is_no_start(before_ms: int, off_ms
         await bench.ready()
         await bench.start({"x": 1000})
         await followed(bench)
-        t0_ns, _ = await released(bench, {"x": 30_000}, StartWay(wait=WINDOW if by_line else None))
+        t0_ns, _ = await released(bench, {"x": 30_000}, StartOptions(wait=WINDOW if by_line else None))
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns - before_ms * NS_PER_MS)
         bench.unit.set_power(False)
         await sleep_ns(bench.clock, off_ms * NS_PER_MS)
         bench.unit.set_power(True)
-        with pytest.raises((DriverFault, LinkClosed)):
-            await bench.driver.started()
+        with pytest.raises((ControllerFault, LinkClosed)):
+            await bench.driver.wait_for_start()
         assert len(bench.moved()) == 1
 
     run(case, config=CONFIG)
@@ -145,11 +146,11 @@ def test_an_input_that_is_active_already_is_refused_and_nothing_waits() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         bench.unit.set_input(2, True)
-        with pytest.raises(CannotDo) as caught:
-            await armed(bench, {"x": 3000}, StartWay(wait=WINDOW))
-        assert caught.value.refusal.code == "line-level"
-        assert "start" in caught.value.refusal.text and caught.value.refusal.remedy
-        await bench.driver.disarm()
+        with pytest.raises(Refusal) as caught:
+            await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
+        assert caught.value.code == "line-level"
+        assert "start" in caught.value.text and caught.value.remedy
+        await bench.driver.disarm_move()
         assert bench.unit.at_rest()
 
     run(case, config=CONFIG)
@@ -158,12 +159,12 @@ def test_an_input_that_is_active_already_is_refused_and_nothing_waits() -> None:
 def test_another_input_that_changes_before_the_promise_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        t0_ns, _ = await armed(bench, {"x": 3000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         bench.unit.set_input(4, True)
-        with pytest.raises(CannotDo) as caught:
-            await bench.driver.verify()
-        assert caught.value.refusal.code == "other-inputs" and "IN4" in caught.value.refusal.text
-        await bench.driver.disarm()
+        with pytest.raises(Refusal) as caught:
+            await bench.driver.verify_armed()
+        assert caught.value.code == "other-inputs" and "IN4" in caught.value.text
+        await bench.driver.disarm_move()
         bench.unit.set_input(2, True)
         bench.unit.set_input(4, False)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
@@ -181,20 +182,20 @@ def test_another_input_that_changes_before_the_promise_is_refused() -> None:
 def test_what_is_disarmed_never_starts_whatever_the_line_does(stage: str, simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        t0_ns, _ = await armed(bench, {"x": 5000, "z": -4000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await armed(bench, {"x": 5000, "z": -4000}, StartOptions(wait=WINDOW))
         if stage != "arm":
-            await bench.driver.verify()
+            await bench.driver.verify_armed()
         if stage == "go":
             await bench.driver.go()
         assert not (await bench.driver.poll()).axes["x"].moving
-        await bench.driver.disarm()
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
+        await bench.driver.disarm_move()
         assert bench.unit.at_rest()
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
         assert not bench.moved()
         bench.unit.set_input(2, False)
-        t0_ns, _ = await released(bench, {"x": 3000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await released(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         assert (await followed(bench))[1].state == "done"
 
@@ -207,14 +208,14 @@ def test_what_is_disarmed_never_starts_whatever_the_line_does(stage: str, simula
 def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, simulate: dict[str, Any]) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        t0_ns, _ = await released(bench, {"x": 90_000, "y": -80_000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await released(bench, {"x": 90_000, "y": -80_000}, StartOptions(wait=WINDOW))
         following = bench.clock.loop.create_task(followed(bench))
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns + when_ms * NS_PER_MS)
         await bench.driver.stop(abort)
         try:
             _, outcome = await following
-        except (DriverFault, CannotDo):
+        except (ControllerFault, Refusal):
             assert when_ms <= 40
         else:
             assert outcome.state == ("fault" if abort else "stopped"), outcome
@@ -223,7 +224,7 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
         if when_ms < -50:  # later its characters are still on the wire when the line comes
             assert not bench.moved()
         await bench.driver.clear_faults()
-        await bench.driver.enable(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], True)
         for _ in range(2):
             await bench.driver.poll()
         assert bench.unit.at_rest()
@@ -231,10 +232,10 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
         for level in (False, True, False):
             bench.unit.set_input(2, level)
             await sleep_ns(bench.clock, 50 * NS_PER_MS)
-        await bench.driver.raw("G")
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         assert len(bench.moved()) == before
-        t0_ns, _ = await released(bench, {"x": 3000}, StartWay(wait=WINDOW))
+        t0_ns, _ = await released(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
         assert (await followed(bench))[1].state == "done"
 
@@ -244,10 +245,10 @@ def test_a_stop_at_any_moment_leaves_nothing_waiting(when_ms: int, abort: bool, 
 def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing_after_the_stop() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await released(bench, {"x": 5000}, StartWay(wait=WINDOW))
-        with pytest.raises(DriverFault) as caught:
-            await bench.driver.started()
-        assert caught.value.fault.code == "not-started" and "IN2" in caught.value.fault.text
+        await released(bench, {"x": 5000}, StartOptions(wait=WINDOW))
+        with pytest.raises(ControllerFault) as caught:
+            await bench.driver.wait_for_start()
+        assert caught.value.code == "not-started" and "IN2" in caught.value.text
         await bench.driver.stop(False)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
         bench.unit.set_input(2, True)
@@ -260,13 +261,13 @@ def test_a_line_that_does_not_come_is_said_and_a_late_one_moves_nothing_after_th
 def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await armed(bench, {"x": 50_000}, StartWay(wait=WINDOW))
-        await bench.driver.verify()
+        await armed(bench, {"x": 50_000}, StartOptions(wait=WINDOW))
+        await bench.driver.verify_armed()
         bench.unit.set_input(2, True)
         await sleep_ns(bench.clock, 5 * NS_PER_MS)
         await bench.driver.go()
-        with pytest.raises(DriverFault, match="before T0"):
-            await bench.driver.started()
+        with pytest.raises(ControllerFault, match="before T0"):
+            await bench.driver.wait_for_start()
 
     run(case, config=CONFIG)
 
@@ -275,9 +276,9 @@ def test_a_unit_that_takes_no_standby_at_rest_says_so_before_anything_is_armed()
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host",)
-        with pytest.raises(CannotDo) as caught:
-            await armed(bench, {"x": 5000}, StartWay(wait=WINDOW))
-        assert caught.value.refusal.code == "start-class"
+        with pytest.raises(Refusal) as caught:
+            await armed(bench, {"x": 5000}, StartOptions(wait=WINDOW))
+        assert caught.value.code == "start-class"
         await bench.start({"x": 500})
         assert (await followed(bench))[1].state == "done"
 
@@ -287,19 +288,19 @@ def test_a_unit_that_takes_no_standby_at_rest_says_so_before_anything_is_armed()
 @pytest.mark.parametrize(
     ("how", "named"),
     [
-        (StartWay(wait=WINDOW.model_copy(update={"input": "other"})), "other"),
-        (StartWay(drive=DRIVE.model_copy(update={"output": "other"})), "other"),
-        (StartWay(by="line"), "line"),
-        (StartWay(by="clock"), "clock"),
+        (StartOptions(wait=WINDOW.model_copy(update={"input": "other"})), "other"),
+        (StartOptions(drive=DRIVE.model_copy(update={"output": "other"})), "other"),
+        (StartOptions(start_class="line"), "line"),
+        (StartOptions(start_class="clock"), "clock"),
     ],
 )
-def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartWay, named: str) -> None:
+def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartOptions, named: str) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         assert bench.driver.capabilities.start_classes == ("host", "line")
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await armed(bench, {"x": 5000}, how)
-        assert caught.value.refusal.code == "start-class" and named in caught.value.refusal.text
+        assert caught.value.code == "start-class" and named in caught.value.text
 
     run(case, config=CONFIG)
 
@@ -308,7 +309,7 @@ def test_a_line_that_the_fleet_file_does_not_name_is_refused(how: StartWay, name
 def test_a_guardians_stop_ends_what_waits_and_what_moves(waits: bool) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        how = StartWay(wait=WINDOW) if waits else StartWay()
+        how = StartOptions(wait=WINDOW) if waits else StartOptions()
         t0_ns, _ = await released(bench, {"x": 90_000, "y": -500}, how)
         if not waits:
             await sleep_until_ns(bench.clock, t0_ns + 300 * NS_PER_MS)
@@ -356,10 +357,12 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
         drive = DRIVE.model_copy(update={"output": output})
         reading = await bench.driver.poll()
         moves = [AxisMove(name, reading.axes[name].commanded_counts, to, 1e5, 5e5) for name, to in targets.items()]
-        lowered = bench.driver.lower(plan_step(moves).profiles if moves else {}, StartWay(drive=drive), None)
+        lowered = bench.driver.lower_profiles(
+            plan_step(moves).profiles if moves else {}, StartOptions(drive=drive), None
+        )
         t0_ns = bench.clock.now_ns() + LEAD_NS
-        await bench.driver.arm(lowered, t0_ns, None)
-        await bench.driver.verify()
+        await bench.driver.arm_move(lowered, t0_ns, None)
+        await bench.driver.verify_armed()
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
         assert not edges.seen
         await bench.driver.go()
@@ -370,8 +373,8 @@ def test_the_output_is_switched_within_the_claimed_edge_and_back(
         earliest_ns = sum(each.earliest_ns for each in lowered.edge)
         latest_ns = sum(each.latest_ns for each in lowered.edge)
         assert earliest_ns <= on_ns - t0_ns <= latest_ns
-        assert drive.hold_ns <= off_ns - on_ns < drive.hold_ns + 50 * NS_PER_MS
-        assert bench.unit.output(1)
+        assert drive.active_ns <= off_ns - on_ns < drive.active_ns + 50 * NS_PER_MS
+        assert bench.unit.output_level(1)
         for name in targets:
             (motion,) = [each for each in bench.moved() if each.axis == NAMES[name]]
             assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
@@ -383,9 +386,9 @@ def test_an_output_that_is_active_already_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.driver.set_output(3, True)
-        with pytest.raises(CannotDo) as caught:
-            await armed(bench, {}, StartWay(drive=DRIVE))
-        assert caught.value.refusal.code == "line-level" and "OUT3" in caught.value.refusal.text
+        with pytest.raises(Refusal) as caught:
+            await armed(bench, {}, StartOptions(drive=DRIVE))
+        assert caught.value.code == "line-level" and "OUT3" in caught.value.text
 
     run(case, config=CONFIG)
 
@@ -396,24 +399,24 @@ def test_disarmed_or_stopped_the_output_is_passive_at_once(when_ms: int, by_stop
     async def case(bench: Bench) -> None:
         await bench.ready()
         edges = Edges(bench, 3)
-        t0_ns, _ = await released(bench, {"x": 90_000}, StartWay(drive=DRIVE))
+        t0_ns, _ = await released(bench, {"x": 90_000}, StartOptions(drive=DRIVE))
         following = bench.clock.loop.create_task(followed(bench))
         await sleep_until_ns(bench.clock, t0_ns + when_ms * NS_PER_MS)
         acted_ns = bench.clock.now_ns()
         if by_stop or when_ms > -10:
             await bench.driver.stop(False)
         if not by_stop:
-            await bench.driver.disarm()
-        with contextlib.suppress(DriverFault, CannotDo):
+            await bench.driver.disarm_move()
+        with contextlib.suppress(ControllerFault, Refusal):
             await following
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
-        assert not bench.unit.output(3)
+        assert not bench.unit.output_level(3)
         if edges.seen:
             assert edges.seen[-1][1] - acted_ns < 30 * NS_PER_MS or when_ms == 300
         await sleep_ns(bench.clock, NS_PER_S)
         for _ in range(2):
             await bench.driver.poll()
-        assert not bench.unit.output(3) and bench.unit.at_rest()
+        assert not bench.unit.output_level(3) and bench.unit.at_rest()
         if when_ms < -10:
             assert not edges.seen and not bench.moved()
 
@@ -425,11 +428,11 @@ def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
         await bench.ready()
         bench.unit.on_output(lambda number, level: bench.unit.set_input(2, level) if number == 3 else None)
         for target in (30_000, 0):
-            edge = bench.driver.lower({}, StartWay(drive=DRIVE), None).edge
+            edge = bench.driver.lower_profiles({}, StartOptions(drive=DRIVE), None).edge
             wait = window(sum(e.earliest_ns for e in edge), sum(e.latest_ns for e in edge))
             before = len(bench.moved())
             t0_ns, (earliest_ns, latest_ns) = await released(
-                bench, {"x": target, "y": target}, StartWay(wait=wait, drive=DRIVE)
+                bench, {"x": target, "y": target}, StartOptions(wait=wait, drive=DRIVE)
             )
             started, outcome = await followed(bench)
             assert outcome.state == "done", outcome
@@ -441,7 +444,7 @@ def test_a_unit_that_drives_the_line_may_wait_for_it_too() -> None:
     run(case, config=CONFIG)
 
 
-def window(earliest_ns: int, latest_ns: int) -> LineWait:
+def window(earliest_ns: int, latest_ns: int) -> TriggerWait:
     return WINDOW.model_copy(update={"earliest_ns": earliest_ns, "latest_ns": latest_ns})
 
 
@@ -463,17 +466,17 @@ def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
             before, go = len(bench.moved()), False
             bench.wire.to_far = bench.wire.to_near = garble
             try:
-                t0_ns, _ = await armed(bench, targets, StartWay(wait=WINDOW))
-                await bench.driver.verify()
+                t0_ns, _ = await armed(bench, targets, StartOptions(wait=WINDOW))
+                await bench.driver.verify_armed()
                 await bench.driver.go()
                 go = True
                 allowed |= set(targets.values())
                 raise_at(bench, t0_ns)
                 await followed(bench)
-            except (CannotDo, DriverFault):
+            except (Refusal, ControllerFault):
                 bench.wire.to_far = bench.wire.to_near = None
                 await bench.driver.stop(False)
-                await bench.driver.disarm()
+                await bench.driver.disarm_move()
             bench.wire.to_far = bench.wire.to_near = None
             for level in (False, True):
                 bench.unit.set_input(2, level)

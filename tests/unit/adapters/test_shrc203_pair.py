@@ -11,20 +11,21 @@ from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 from unit.adapters.test_shrc203_lowering import controller as one_axis
 from unit.adapters.test_shrc203_lowering import wire
 
-from adapters.contract import CannotDo, DriverFault, Outcome, Span
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.shrc203 import MAKE
-from adapters.shrc203.lowering import ShrcLowered, Wire, lower
-from adapters.shrc203.options import Options
-from adapters.shrc203.pair import FIRST_S, Pair, pairs
-from adapters.shrc203.trapezoid import Bounds
+from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
+from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.pair import FIRST_S, TwoPartMove, find_two_part_moves
+from adapters.shrc203.trapezoid import ShrcBounds
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.messages import LineWait, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerWait
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
 INPUTS: dict[str, Any] = {"inputs": {"start": {"number": 2}}}
-WAIT = StartWay(wait=LineWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS))
+WAIT = StartOptions(wait=TriggerWait(input="start", earliest_ns=-2 * NS_PER_MS, latest_ns=3 * NS_PER_MS))
 SLOW = {"x": 612, "y": -333, "z": 505}
 SLOW_S = 39.9  # no single move of any of them takes it
 
@@ -37,36 +38,36 @@ def planned(
     return plan.stretched(duration_s).profiles
 
 
-async def armed(bench: Bench, way: Mapping[str, int], how: StartWay | None = None) -> tuple[ShrcLowered, int]:
+async def armed(bench: Bench, way: Mapping[str, int], how: StartOptions | None = None) -> tuple[ShrcLowered, int]:
     now = (await bench.driver.poll()).axes
     profiles = planned({name: axis.commanded_counts for name, axis in now.items()}, way)
-    made = bench.driver.lower(profiles, how or StartWay(), None)
+    made = bench.driver.lower_profiles(profiles, how or StartOptions(), None)
     t0_ns = bench.clock.now_ns() + 700 * NS_PER_MS
-    await bench.driver.arm(made, t0_ns, None)
+    await bench.driver.arm_move(made, t0_ns, None)
     return made, t0_ns
 
 
-async def released(bench: Bench, way: Mapping[str, int], how: StartWay | None = None) -> tuple[ShrcLowered, int]:
+async def released(bench: Bench, way: Mapping[str, int], how: StartOptions | None = None) -> tuple[ShrcLowered, int]:
     made, t0_ns = await armed(bench, way, how)
-    await bench.driver.verify()
+    await bench.driver.verify_armed()
     await bench.driver.go()
     if how is not None:
         bench.clock.call_at_ns(t0_ns, lambda: bench.unit.set_input(2, True))
     return made, t0_ns
 
 
-async def followed(bench: Bench) -> tuple[Mapping[str, Span], Outcome]:
-    started = await bench.driver.started()
-    return started, await bench.driver.outcome()
+async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
+    started = await bench.driver.wait_for_start()
+    return started, await bench.driver.wait_for_end()
 
 
 async def nothing_is_left(bench: Bench) -> None:
     """Nothing moves any more, whoever says `G` or touches the inputs."""
     for _ in range(2):
         await bench.driver.poll()
-    await bench.driver.disarm()
+    await bench.driver.disarm_move()
     count = len(bench.moved())
-    await bench.driver.raw("G")
+    await bench.driver.send_raw("G")
     for number in range(1, 7):
         bench.unit.set_input(number, number == 2)
     await sleep_ns(bench.clock, 2 * NS_PER_S)
@@ -90,16 +91,16 @@ def test_slow_moves_take_the_planned_time_within_all_limits(seed: int) -> None:
         )
         way, duration_s = draw.randrange(300, 3000) * draw.choice([1, -1]), draw.uniform(30, 60)
         profile = planned({"x": 0}, {"x": way}, duration_s, acceleration)["x"]
-        options = Options(handover_us=draw.choice([0, 1000, 7000]))
-        made = lower(config, options, wire(options, 260_000), {"x": profile}, StartWay())
+        options = ShrcOptions(handover_us=draw.choice([0, 1000, 7000]))
+        made = lower_step(config, options, wire(options, 260_000), {"x": profile}, StartOptions())
         assert abs(made.durations_s["x"] - duration_s) <= 0.2e-3
         (move,) = made.moves
-        assert sum(each.distance for each in move.pieces) == way
-        if not isinstance(move.shape, Pair):
-            assert not made.seconds and not made.load_second
+        assert sum(each.distance for each in move.executed_moves) == way
+        if not isinstance(move.shape, TwoPartMove):
+            assert not made.followup_moves and not made.load_followup
             continue
         split += 1
-        assert made.commands == (made.load, made.start, made.load_second)
+        assert made.commands == (made.load, made.start, made.load_followup)
         assert move.shape.first.duration_s >= FIRST_S
         for each in (move.shape.first, move.shape.second):
             assert 1 <= start[0] <= each.s <= start[1] and each.s <= each.f <= 500 and 1 <= each.r <= 1000
@@ -111,40 +112,42 @@ def test_slow_moves_take_the_planned_time_within_all_limits(seed: int) -> None:
     assert split > 5
 
 
-def farthest(profile: Profile, shape: Pair) -> float:
+def farthest(profile: Profile, shape: TwoPartMove) -> float:
     """The largest distance to the plan, by looking at many instants."""
     worst, sign = 0.0, 1 if profile.end_counts > profile.start_counts else -1
     for k in range(2000):
         t = at_s = k / 2000 * profile.duration_s
         x = 0.0
-        for leg in shape.legs:
+        for leg in shape.motion_legs:
             step = min(t, leg.duration_s)
             x += step * (leg.speed + step * leg.acceleration / 2)
             t -= step
-        worst = max(worst, abs(sign * x - (profile.at(at_s).position - profile.start_counts)))
+        worst = max(worst, abs(sign * x - (profile.state_at(at_s).position - profile.start_counts)))
     return worst
 
 
 def test_of_all_pairs_that_take_the_time_the_nearest_to_the_plan_is_taken() -> None:
-    config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), Options()
+    config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), ShrcOptions()
     profile = planned({"x": 0}, {"x": 1500}, 63.3)["x"]
-    made = lower(config, options, wire(options, 260_000), {"x": profile}, StartWay())
-    found = pairs(1500, 63.3, Bounds(500, 5000, 1, 5), options.handover_us * 1e-6)
+    made = lower_step(config, options, wire(options, 260_000), {"x": profile}, StartOptions())
+    found = find_two_part_moves(1500, 63.3, ShrcBounds(500, 5000, 1, 5), options.handover_us * 1e-6)
     ways = [farthest(profile, each) for each in found]
     assert len(found) > 3 and max(ways) > min(ways) + 1
     assert made.path_error_counts["x"] < min(ways) + 1.5
 
 
 def test_one_move_is_preferred_and_where_the_scale_has_to_settle_there_is_no_other() -> None:
-    config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), Options()
+    config, options = one_axis(scale=1000, limits={"velocity": 0.5, "acceleration": 5}), ShrcOptions()
     open_loop = wire(options, 260_000)
-    closed_loop = Wire(260_000, True, open_loop.costs, open_loop.line_costs, open_loop.known, frozenset({1}))
+    closed_loop = ConnectionTraits(
+        260_000, True, open_loop.costs, open_loop.line_costs, open_loop.known, frozenset({1})
+    )
     for duration_s, length in ((6.2, 1), (SLOW_S, 2)):
         profile = planned({"x": 0}, {"x": 612}, duration_s)["x"]
-        made = lower(config, options, open_loop, {"x": profile}, StartWay())
-        assert len(made.moves[0].pieces) == length
-        made = lower(config, options, closed_loop, {"x": profile}, StartWay())
-        assert len(made.moves[0].pieces) == 1
+        made = lower_step(config, options, open_loop, {"x": profile}, StartOptions())
+        assert len(made.moves[0].executed_moves) == length
+        made = lower_step(config, options, closed_loop, {"x": profile}, StartOptions())
+        assert len(made.moves[0].executed_moves) == 1
 
 
 # What the unit makes of it
@@ -152,13 +155,13 @@ def test_one_move_is_preferred_and_where_the_scale_has_to_settle_there_is_no_oth
 
 @pytest.mark.parametrize("how", [None, WAIT], ids=["host", "line"])
 @pytest.mark.parametrize("seed", range(5))
-def test_both_moves_run_and_end_when_it_was_said(seed: int, how: StartWay | None) -> None:
+def test_both_moves_run_and_end_when_it_was_said(seed: int, how: StartOptions | None) -> None:
     async def case(bench: Bench) -> None:
         draw, crystal = Random(seed), 1 + ppm * 1e-6
         await bench.ready()
         way = {name: SLOW[name] * draw.choice([1, -1]) for name in draw.sample("xyz", draw.randint(1, 3))}
         made, t0_ns = await released(bench, way, how)
-        assert {each.name for each in made.seconds} == set(way)
+        assert {each.name for each in made.followup_moves} == set(way)
         started, outcome = await followed(bench)
         assert outcome.state == "done", outcome
         early_ns, late_ns = made.window_ns
@@ -190,7 +193,7 @@ def test_both_moves_run_and_end_when_it_was_said(seed: int, how: StartWay | None
     ],
     ids=str,
 )
-def test_units_of_other_readings(simulate: dict[str, Any], how: StartWay | None) -> None:
+def test_units_of_other_readings(simulate: dict[str, Any], how: StartOptions | None) -> None:
     """The claims hold whatever the hand-over takes; with `handover_us` measured the duration is right, too."""
 
     async def case(bench: Bench) -> None:
@@ -229,14 +232,14 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(after_us: int | str, abo
         assert written[0].startswith(b"L:E" if abort else b"MP:1+P0\r\nMP:2+P0\r\nL:")
         try:
             _, outcome = await following
-        except DriverFault:  # it was not even started
+        except ControllerFault:  # it was not even started
             assert after_us in (-3000, 0, 2000)
         else:
             assert outcome.state == ("fault" if abort else "stopped"), outcome
         assert bench.clock.now_ns() < at_ns + 2 * NS_PER_S
         if abort:
             await bench.driver.clear_faults()
-            await bench.driver.enable(["x", "y"], True)
+            await bench.driver.set_enabled(["x", "y"], True)
         await nothing_is_left(bench)
 
     run(case, simulate={"stop_keeps_prebuffer": True})
@@ -244,7 +247,7 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(after_us: int | str, abo
 
 def first_s(made: ShrcLowered) -> float:
     """How long the first of two moves of the first axis takes."""
-    shape = made.firsts[0].shape
+    shape = made.first_moves[0].shape
     assert shape is not None
     return shape.duration_s
 
@@ -253,8 +256,8 @@ def test_a_guardian_that_stops_between_leaves_nothing_that_moves() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
-        await bench.driver.started()
-        following = asyncio.get_running_loop().create_task(bench.driver.outcome())
+        await bench.driver.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
         await sleep_ns(bench.clock, NS_PER_S)
         link = await bench.wire.open()
         link.write(MAKE.stop_bytes(bench.config))
@@ -282,7 +285,7 @@ def test_a_second_move_that_is_not_taken_stops_the_step_unless_it_is_taken_then(
 
         def garbled(data: bytes) -> bytes:
             nonlocal left
-            if made.load_second.encode() not in data or not left:
+            if made.load_followup.encode() not in data or not left:
                 return data
             left -= 1
             return data.replace(*harm)
@@ -293,7 +296,7 @@ def test_a_second_move_that_is_not_taken_stops_the_step_unless_it_is_taken_then(
         if times == 1:
             assert outcome.state == "done"
         else:
-            assert outcome.state == "fault" and "second of two moves" in outcome.reason
+            assert outcome.state == "fault" and "follow-up move could not be loaded" in outcome.reason
             assert all(abs(bench.unit.position(number)) < 60 for number in "12")
         await nothing_is_left(bench)
 
@@ -304,14 +307,14 @@ def test_a_second_move_that_comes_too_late_is_said_and_not_run() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, round(first_s(made) * NS_PER_S) + NS_PER_S)  # the host is frozen
-        outcome = await bench.driver.outcome()
-        assert outcome.state == "fault" and "the second one came too late" in outcome.reason, outcome
+        outcome = await bench.driver.wait_for_end()
+        assert outcome.state == "fault" and "the follow-up move came too late" in outcome.reason, outcome
         (motion,) = bench.moved()
-        assert motion.end_counts == made.firsts[0].end_counts
+        assert motion.end_counts == made.first_moves[0].end_counts
         await nothing_is_left(bench)
-        await released(bench, {"x": 700 - made.firsts[0].end_counts})
+        await released(bench, {"x": 700 - made.first_moves[0].end_counts})
         assert (await followed(bench))[1].state == "done"
 
     run(case)
@@ -322,8 +325,8 @@ def test_a_cut_link_leaves_the_axis_at_the_end_of_what_it_holds(loaded: bool) ->
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
-        await bench.driver.started()
-        following = asyncio.get_running_loop().create_task(bench.driver.outcome())
+        await bench.driver.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
         if loaded:
             await sleep_ns(bench.clock, NS_PER_S)
         bench.wire.links[-1].hang_up()
@@ -331,7 +334,7 @@ def test_a_cut_link_leaves_the_axis_at_the_end_of_what_it_holds(loaded: bool) ->
             await following
         await sleep_ns(bench.clock, 50 * NS_PER_S)
         assert bench.unit.at_rest()
-        assert bench.unit.position("1") == (612 if loaded else made.firsts[0].end_counts)
+        assert bench.unit.position("1") == (612 if loaded else made.first_moves[0].end_counts)
         await bench.driver.close()
         await bench.ready()
         await nothing_is_left(bench)
@@ -343,10 +346,10 @@ def test_a_link_that_swallows_everything_while_the_second_is_loaded_ends_in_a_fa
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         bench.wire.cut = True
-        with pytest.raises(DriverFault):
-            await bench.driver.outcome()
+        with pytest.raises(ControllerFault):
+            await bench.driver.wait_for_end()
         bench.wire.cut = False
         await bench.driver.stop(False)
         await sleep_ns(bench.clock, NS_PER_S)
@@ -360,8 +363,8 @@ def test_a_power_cut_is_a_fault(at_s: float) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         _, t0_ns = await released(bench, {"x": 612})
-        await bench.driver.started()
-        following = asyncio.get_running_loop().create_task(bench.driver.outcome())
+        await bench.driver.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
         await sleep_ns(bench.clock, t0_ns + round(at_s * NS_PER_S) - bench.clock.now_ns())
         bench.wire.links[-1].write(b"RESET:\r\n")
         outcome = await following
@@ -377,8 +380,8 @@ def test_a_limit_sensor_in_the_first_move_ends_the_step() -> None:
         await bench.ready()
         _, t0_ns = await released(bench, {"x": 612})
         bench.clock.call_at_ns(t0_ns + NS_PER_S, lambda: bench.unit.set_limit("1", "forward"))
-        await bench.driver.started()
-        following = asyncio.get_running_loop().create_task(bench.driver.outcome())
+        await bench.driver.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
         await sleep_ns(bench.clock, 3 * NS_PER_S)
         await bench.driver.poll()
         outcome = await following
@@ -413,7 +416,7 @@ def test_a_lost_completion_line_is_found_by_a_look(lost: int) -> None:
 
 @pytest.mark.parametrize("end", ["disarm", "stop"])
 @pytest.mark.parametrize("how", [None, WAIT], ids=["host", "line"])
-def test_what_is_taken_back_before_its_start_never_moves(end: str, how: StartWay | None) -> None:
+def test_what_is_taken_back_before_its_start_never_moves(end: str, how: StartOptions | None) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await armed(bench, SLOW, how)
@@ -421,7 +424,7 @@ def test_what_is_taken_back_before_its_start_never_moves(end: str, how: StartWay
             await bench.driver.stop(False)
         await nothing_is_left(bench)
         assert not bench.moved()
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await bench.driver.go()
 
     run(case, config=controller("xyz", **INPUTS))
@@ -438,13 +441,13 @@ def test_a_noisy_line_takes_no_axis_beyond_its_way(seed: int) -> None:
         for _ in range(3):
             way = draw.choice([612, -555, 333])
             made, _ = await released(bench, {"x": way})
-            await bench.driver.started()
+            await bench.driver.wait_for_start()
             bench.wire.to_far = bench.wire.to_near = lambda data: bytes(
                 draw.randrange(256) if draw.random() < 0.01 else each for each in data
             )
             try:
-                state = (await bench.driver.outcome()).state
-            except DriverFault:
+                state = (await bench.driver.wait_for_end()).state
+            except ControllerFault:
                 state = "fault"
             bench.wire.to_far = bench.wire.to_near = None
             await bench.driver.stop(False)

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import Bench, controller, run
 
-from adapters.contract import CannotDo
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.errors import Refusal
 
 CLOSED: dict[str, Any] = {"scales": True}
 LOOP = {"loop": "closed"}
@@ -14,8 +14,8 @@ LOOP = {"loop": "closed"}
 
 async def moved(bench: Bench, targets: dict[str, int]) -> str:
     await bench.start(targets)
-    await bench.driver.started()
-    return (await bench.driver.outcome()).state
+    await bench.driver.wait_for_start()
+    return (await bench.driver.wait_for_end()).state
 
 
 @pytest.mark.parametrize("settle_ms", [0, 60, 500])
@@ -23,8 +23,8 @@ def test_a_move_is_done_when_it_has_settled_and_ended_when_its_profile_has(settl
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         (motion,) = bench.moved()
         assert motion.end_ns is not None
         settled_ms = (bench.clock.now_ns() - motion.end_ns) / NS_PER_MS
@@ -41,8 +41,8 @@ def test_a_stage_that_does_not_follow_is_said_and_freed_by_a_reset() -> None:
         await bench.ready()
         bench.unit.set_stalled("1", True)
         await bench.start({"x": 4000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "does not settle" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].moving and reading.axes["x"].actual_counts == 0
@@ -60,16 +60,16 @@ def test_an_overflow_is_cleared_by_a_reset() -> None:
         await bench.ready()
         bench.unit.set_stalled("1", True)
         await bench.start({"x": 60_000})
-        await bench.driver.started()
-        outcome = await bench.driver.outcome()
+        await bench.driver.wait_for_start()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "S4" in outcome.reason
         assert "overflow" in {fault.code for fault in (await bench.driver.poll()).faults}
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await bench.arm({"x": 0})
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         bench.unit.set_stalled("1", False)
         await bench.driver.clear_faults()
-        await bench.driver.enable(["x"], True)
+        await bench.driver.set_enabled(["x"], True)
         assert not (await bench.driver.poll()).faults
         assert await moved(bench, {"x": 100}) == "done"
 
@@ -96,18 +96,18 @@ def test_after_an_emergency_stop_in_motion_reset_and_enable_lead_on(excitation_o
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": 60_000})
-        await bench.driver.started()
+        await bench.driver.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         await bench.driver.stop(True)
-        outcome = await bench.driver.outcome()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "fault" and "emergency stop" in outcome.reason
-        with pytest.raises(CannotDo):
+        with pytest.raises(Refusal):
             await bench.arm({"x": 0})
-        await bench.driver.disarm()
+        await bench.driver.disarm_move()
         await bench.driver.clear_faults()
         reading = await bench.driver.poll()
         assert not reading.faults and reading.axes["x"].enabled != excitation_off
-        await bench.driver.enable(["x", "y", "z"], True)
+        await bench.driver.set_enabled(["x", "y", "z"], True)
         assert await moved(bench, {"x": 0, "y": 0}) == "done"
 
     run(case, simulate={"emergency_excitation_off": excitation_off})
@@ -116,22 +116,22 @@ def test_after_an_emergency_stop_in_motion_reset_and_enable_lead_on(excitation_o
 def test_registered_positions_are_read() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        assert await bench.driver.registered("place") == await bench.driver.registered("coordinates") == {}
+        assert await bench.driver.read_registered("place") == await bench.driver.read_registered("coordinates") == {}
         assert await moved(bench, {"x": 3000, "z": -500}) == "done"
         for line in ("PIT:SET,3", "PAV:SET,20"):
-            assert await bench.driver.raw(line) == "OK"
+            assert await bench.driver.send_raw(line) == "OK"
         assert await moved(bench, {"x": 100, "y": 7}) == "done"
-        assert await bench.driver.raw("PIT:SET,1") == "OK"
-        assert await bench.driver.registered("place") == {
+        assert await bench.driver.send_raw("PIT:SET,1") == "OK"
+        assert await bench.driver.read_registered("place") == {
             3: {"x": 3000, "y": 0, "z": -500},
             1: {"x": 100, "y": 7, "z": -500},
         }
-        assert await bench.driver.registered("coordinates") == {20: {"x": 3000, "y": 0, "z": -500}}
+        assert await bench.driver.read_registered("coordinates") == {20: {"x": 3000, "y": 0, "z": -500}}
         await bench.start({"x": 0})
-        with pytest.raises(CannotDo, match="at rest"):
-            await bench.driver.registered("place")
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        with pytest.raises(Refusal, match="at rest"):
+            await bench.driver.read_registered("place")
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case)
 
@@ -139,7 +139,7 @@ def test_registered_positions_are_read() -> None:
 def test_registered_positions_are_those_of_the_fleet_files_axes() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
-        await bench.driver.raw("PAV:SET,2")
-        assert await bench.driver.registered("coordinates") == {2: {"y": 0}}
+        await bench.driver.send_raw("PAV:SET,2")
+        assert await bench.driver.read_registered("coordinates") == {2: {"y": 0}}
 
     run(case, config=controller("y"))

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.contract import CannotDo
 from adapters.shrc203.lowering import ShrcLowered
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
 
@@ -46,14 +46,14 @@ def straight(distances: Mapping[str, int], duration_s: float, ramp_s: float) -> 
     }
 
 
-def lowered(bench: Bench, profiles: Mapping[str, Profile], how: StartWay | None = None) -> ShrcLowered:
-    found = bench.driver.lower(profiles, how or StartWay(), None)
+def lowered(bench: Bench, profiles: Mapping[str, Profile], how: StartOptions | None = None) -> ShrcLowered:
+    found = bench.driver.lower_profiles(profiles, how or StartOptions(), None)
     assert isinstance(found, ShrcLowered)
     return found
 
 
 def distance_to_plan(bench: Bench, profiles: Mapping[str, Profile], start_ns: int, at_ns: int) -> float:
-    planned = {name: each.at((at_ns - start_ns) / 1e9).position for name, each in profiles.items()}
+    planned = {name: each.state_at((at_ns - start_ns) / 1e9).position for name, each in profiles.items()}
     return max(abs(bench.unit.position(NAMES[name]) - way) for name, way in planned.items())
 
 
@@ -67,27 +67,27 @@ def test_a_line_that_single_axes_can_not_keep_is_interpolated_and_keeps_to_its_c
         made = lowered(bench, profiles)
         assert made.straight is not None and made.load.startswith("KP:")
         t0_ns = bench.clock.now_ns() + 400 * NS_PER_MS
-        await bench.driver.arm(made, t0_ns, None)
-        await bench.driver.verify()
+        await bench.driver.arm_move(made, t0_ns, None)
+        await bench.driver.verify_armed()
         assert not bench.moved()
         await bench.driver.go()
-        started = await bench.driver.started()
-        start_ns = bench.unit.motions[0].start_ns
+        started = await bench.driver.wait_for_start()
+        start_ns = bench.unit.commanded_motions[0].start_ns
         worst = 0.0
         for _ in range(120):
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
             worst = max(worst, distance_to_plan(bench, profiles, start_ns, bench.clock.now_ns()))
         assert worst <= max(made.path_error_counts.values())
-        outcome = await bench.driver.outcome()
+        outcome = await bench.driver.wait_for_end()
         assert outcome.state == "done", outcome
         for name, way in distances.items():
-            (motion,) = [each for each in bench.unit.motions if each.axis == NAMES[name]]
+            (motion,) = [each for each in bench.unit.commanded_motions if each.axis == NAMES[name]]
             assert motion.end_counts == way and motion.end_ns is not None
             assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
             assert outcome.ended[name].earliest_ns <= motion.end_ns <= outcome.ended[name].latest_ns
         await bench.start({"x": 0})
-        await bench.driver.started()
-        assert (await bench.driver.outcome()).state == "done"
+        await bench.driver.wait_for_start()
+        assert (await bench.driver.wait_for_end()).state == "done"
 
     run(case, config=CONFIG)
 
@@ -103,11 +103,11 @@ def test_what_is_chosen_is_never_further_from_the_plan(seed: int) -> None:
         profiles = straight(distances, duration_s, min(10 ** draw.uniform(-3, 0), duration_s / 3))
         try:
             made = lowered(bench, profiles)
-        except CannotDo:
+        except Refusal:
             return
         try:
             alone = {name: lowered(bench, {name: each}).path_error_counts[name] for name, each in profiles.items()}
-        except CannotDo:
+        except Refusal:
             assert made.straight is not None  # single axes can not be so slow
         else:
             assert max(made.path_error_counts.values()) <= max(alone.values())
@@ -148,17 +148,17 @@ def test_a_line_that_is_taken_back_never_starts(end: str) -> None:
         await bench.ready()
         made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
         assert made.straight is not None
-        await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
-        await bench.driver.verify()
+        await bench.driver.arm_move(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+        await bench.driver.verify_armed()
         if end == "disarm":
-            await bench.driver.disarm()
+            await bench.driver.disarm_move()
         else:
             await bench.driver.stop(end == "abort")
             await bench.driver.clear_faults()
-            await bench.driver.enable(["x", "y", "z"], True)
+            await bench.driver.set_enabled(["x", "y", "z"], True)
             for _ in range(2):
                 await bench.driver.poll()
-        await bench.driver.raw("G")
+        await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
 
@@ -170,8 +170,8 @@ def test_a_garbled_line_is_refused() -> None:
         await bench.ready()
         made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
         bench.wire.to_far = lambda data: data.replace(b"P1200", b"P1800")
-        with pytest.raises(CannotDo) as caught:
-            await bench.driver.arm(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
-        assert caught.value.refusal.code == "load-garbled"
+        with pytest.raises(Refusal) as caught:
+            await bench.driver.arm_move(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+        assert caught.value.code == "load-garbled"
 
     run(case, config=CONFIG)

@@ -9,16 +9,16 @@ from typing import Any
 
 from unit.adapters.test_smc4000_bench import trapezoid
 
-from adapters.contract import Driver, Setup
-from adapters.toolkit.firing import LoopFirer
+from adapters.contract import Driver, DriverSetup
+from adapters.toolkit.firing import LoopTimedWriter
 from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from sim.core.controller import Branch, SimulatedController, Timing
+from sim.core.controller import DeviceSpec, FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC2000
 
@@ -33,7 +33,7 @@ FLEET: dict[str, Any] = {
         "y": {"motors": ["Y"], "unit": "mm", "scale": 1000, "limits": LIMITS},
     },
 }
-TIMING = Timing(decode_ns=500_000, spread_ns=50_000)
+TIMING = FirmwareTiming(decode_ns=500_000, spread_ns=50_000)
 
 
 @dataclass
@@ -56,21 +56,21 @@ class World:
         if connect:
             await self.driver.connect()
         await self.driver.configure()
-        await self.driver.enable(["x", "y"], True)
+        await self.driver.set_enabled(["x", "y"], True)
         for _ in range(polls):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
 
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.8) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
-        driver, mapping = self.driver, self.driver.mapping()
+        driver, mapping = self.driver, self.driver.clock_mapping()
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
-        lowered = driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
-        await driver.arm(lowered, t0_ns, mapping)
-        await driver.verify()
+        lowered = driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
+        await driver.arm_move(lowered, t0_ns, mapping)
+        await driver.verify_armed()
         await driver.go()
-        started = await driver.started()
-        outcome = await driver.outcome()
+        started = await driver.wait_for_start()
+        outcome = await driver.wait_for_end()
         return lowered, started, outcome, t0_ns
 
 
@@ -97,15 +97,15 @@ def run(
 ) -> Any:
     async def within(clock: Clock) -> Any:
         config = Controller.model_validate(fleet or FLEET)
-        MAKE.check(config)
+        MAKE.check_config(config)
         oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
-        controller = SMC2000.build(clock, options or {}, oscillator=oscillator, timing=TIMING, seed=seed)
+        controller = SMC2000.build_controller(clock, options or {}, oscillator=oscillator, timing=TIMING, seed=seed)
         model = serial_wire(19200, hold_ns=hold_ms * NS_PER_MS)
         wire = MemoryWire(clock, model, controller, "serial", "serial /dev/ttyS0", copy_context(), seed)
 
         def driver() -> Driver:
-            chosen = MAKE.options.model_validate(config.options)
-            return MAKE.driver(Setup("c", config, chosen, clock, wire.open, LoopFirer(clock)))
+            chosen = MAKE.options_model.model_validate(config.options)
+            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open, LoopTimedWriter(clock)))
 
         return await main(World(clock, controller, wire, driver(), driver))
 
@@ -125,7 +125,7 @@ class ChainWorld:
         async def one(driver: Driver) -> None:
             await driver.connect()
             await driver.configure()
-            await driver.enable(["x"], True)
+            await driver.set_enabled(["x"], True)
             for _ in range(polls):
                 await driver.poll()
                 await sleep_ns(self.clock, 100 * NS_PER_MS)
@@ -146,7 +146,7 @@ def run_chain(
     async def within(clock: Clock) -> Any:
         draw = Random(seed)
         branches = [
-            Branch(
+            DeviceSpec(
                 address,
                 {"axes": 2, **(options or {})},
                 Oscillator(draw.randrange(10**11), draw.uniform(-90, 90), 0.05, seed + address),
@@ -161,11 +161,13 @@ def run_chain(
         shared: dict[str, Any] = {}
 
         def driver(address: int) -> Driver:
-            fleet = FLEET | {"link": FLEET["link"] | {"unit": address}, "axes": {"x": FLEET["axes"]["x"]}}
+            fleet = FLEET | {"link": FLEET["link"] | {"address": address}, "axes": {"x": FLEET["axes"]["x"]}}
             config = Controller.model_validate(fleet)
-            MAKE.check(config)
-            chosen = MAKE.options.model_validate(config.options)
-            return MAKE.driver(Setup(f"c{address}", config, chosen, clock, wire.open, LoopFirer(clock), shared))
+            MAKE.check_config(config)
+            chosen = MAKE.options_model.model_validate(config.options)
+            return MAKE.create_driver(
+                DriverSetup(f"c{address}", config, chosen, clock, wire.open, LoopTimedWriter(clock), shared)
+            )
 
         units = dict(zip(addresses, built, strict=True))
         return await main(ChainWorld(clock, units, {each: driver(each) for each in addresses}, wire))

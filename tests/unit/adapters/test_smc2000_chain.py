@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, run_chain, trapezoid
 
-from adapters.contract import CannotDo, Driver, DriverFault, JogMove
+from adapters.contract import Driver, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.files import FileError
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 
 
 @pytest.mark.parametrize("first", range(0, 40, 10))
@@ -24,8 +25,8 @@ def test_replies_are_not_mixed_whatever_overlaps(first: int):
         await world.ready(2)
         draw = Random(world.wire.seed)
         for address, driver in world.drivers.items():
-            await driver.raw(f"DPX={1000 + address}")
-            await driver.raw(f"XMINE={7000 + address}")
+            await driver.send_raw(f"DPX={1000 + address}")
+            await driver.send_raw(f"XMINE={7000 + address}")
 
         async def busy(address: int, driver: Driver) -> None:
             for _ in range(40):
@@ -35,7 +36,7 @@ def test_replies_are_not_mixed_whatever_overlaps(first: int):
                     reading = await driver.poll()
                     assert reading.axes["x"].commanded_counts == 1000 + address
                 elif kind == 3:
-                    assert float(await driver.raw("MG XMINE")) == 7000 + address
+                    assert float(await driver.send_raw("MG XMINE")) == 7000 + address
                 elif kind == 4:
                     await driver.set_output(1, draw.random() < 0.5)
                 else:
@@ -64,7 +65,7 @@ def test_what_a_program_reports_of_its_error_is_taken_for_nobodys_answer(hold_ms
                 await sleep_ns(world.clock, draw.randrange(100 * NS_PER_MS))
                 unit = world.units[draw.randrange(3)]
                 reports += unit.machine.selected is True
-                unit.machine.ports.message("?005 WT XT0-TIME;BGX;XACT=TIME;JP#DONE\r\n")
+                unit.machine.ports.send_message("?005 WT XT0-TIME;BGX;XACT=TIME;JP#DONE\r\n")
 
         task = asyncio.get_running_loop().create_task(fail())
         while not task.done():
@@ -84,13 +85,13 @@ def test_a_silent_unit_holds_nobody_up_for_longer_than_its_own_time_out(asked: s
         driver = world.drivers[2]
         asking: dict[str, Callable[[], Awaitable[object]]] = {
             "poll": driver.poll,
-            "command": lambda: driver.raw("MG TIME"),
+            "command": lambda: driver.send_raw("MG TIME"),
             "meet": driver.connect,
         }
 
         async def knock() -> None:
             for _ in range(20):
-                with pytest.raises((DriverFault, LinkClosed)):
+                with pytest.raises((ControllerFault, LinkClosed)):
                     await asking[asked]()
                 await sleep_ns(world.clock, 20 * NS_PER_MS)
 
@@ -117,13 +118,13 @@ def test_who_waits_for_a_turn_goes_before_a_unit_that_is_missing():
         await world.ready(5)
         world.units[2].set_power(False)
         for _ in range(2):
-            with pytest.raises(DriverFault):
-                await world.drivers[2].raw("MG TIME")
+            with pytest.raises(ControllerFault):
+                await world.drivers[2].send_raw("MG TIME")
 
         async def knock() -> None:
             for _ in range(8):
-                with pytest.raises(DriverFault):
-                    await world.drivers[2].raw("MG TIME")
+                with pytest.raises(ControllerFault):
+                    await world.drivers[2].send_raw("MG TIME")
 
         tasks = [asyncio.get_running_loop().create_task(knock()) for _ in range(3)]
         took_ns: list[int] = []
@@ -148,7 +149,7 @@ def test_a_power_cycle_of_one_unit_of_three_is_that_units_own(hold_ms: int):
         for address in (0, 2):
             for _ in range(3):
                 assert not (await world.drivers[address].poll()).restarted
-        with pytest.raises((DriverFault, LinkClosed)):
+        with pytest.raises((ControllerFault, LinkClosed)):
             for _ in range(3):
                 await world.drivers[1].poll()
         await world.drivers[1].close()
@@ -173,7 +174,7 @@ def test_a_stop_reaches_its_unit_within_milliseconds_past_everything_and_no_othe
     async def main(world: ChainWorld) -> None:
         await world.ready(5)
         for driver in world.drivers.values():
-            await driver.jog("x", JogMove(10_000, 1_000_000, None))
+            await driver.jog_axis("x", JogMove(10_000, 1_000_000, None))
         draw = Random(seed)
         polling = [asyncio.get_running_loop().create_task(_poll_on(driver)) for driver in world.drivers.values()]
         await sleep_ns(world.clock, NS_PER_S + draw.randrange(100 * NS_PER_MS))
@@ -184,7 +185,7 @@ def test_a_stop_reaches_its_unit_within_milliseconds_past_everything_and_no_othe
         await sleep_ns(world.clock, NS_PER_S)
         for address, unit in world.units.items():
             if address == stopped:
-                end_ns = unit.motions[-1].end_ns
+                end_ns = unit.commanded_motions[-1].end_ns
                 assert end_ns is not None and end_ns - at_ns < 35 * NS_PER_MS
             else:
                 assert unit.velocity("X") == pytest.approx(10_000, rel=0.01)
@@ -204,23 +205,25 @@ def test_a_unit_is_disarmed_while_the_others_go():
     async def main(world: ChainWorld) -> None:
         await world.ready(20)
         lowered: dict[int, Any] = {}
-        mappings = {address: driver.mapping() for address, driver in world.drivers.items()}
+        mappings = {address: driver.clock_mapping() for address, driver in world.drivers.items()}
         t0_ns = world.clock.now_ns() + 2 * NS_PER_S
         for address, driver in world.drivers.items():
-            lowered[address] = driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mappings[address])
-        await asyncio.gather(*(world.drivers[a].arm(lowered[a], t0_ns, mappings[a]) for a in lowered))
-        await world.drivers[1].disarm()
-        with pytest.raises(CannotDo):
+            lowered[address] = driver.lower_profiles(
+                {"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mappings[address]
+            )
+        await asyncio.gather(*(world.drivers[a].arm_move(lowered[a], t0_ns, mappings[a]) for a in lowered))
+        await world.drivers[1].disarm_move()
+        with pytest.raises(Refusal):
             await world.drivers[1].go()
         await asyncio.gather(*(world.drivers[a].go() for a in (0, 2)))
         outcomes = []
         for address in (0, 2):
-            started = await world.drivers[address].started()
-            motion = world.units[address].motions[-1]
+            started = await world.drivers[address].wait_for_start()
+            motion = world.units[address].commanded_motions[-1]
             assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
-            outcomes.append(await world.drivers[address].outcome())
+            outcomes.append(await world.drivers[address].wait_for_end())
         assert [outcome.state for outcome in outcomes] == ["done", "done"]
-        assert not world.units[1].motions
+        assert not world.units[1].commanded_motions
 
     run_chain(main)
 
@@ -228,15 +231,15 @@ def test_a_unit_is_disarmed_while_the_others_go():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "both unit 0"),
-        ({"link": {"unit": None}}, "has an address there, and b has none"),
-        ({"link": {"unit": 1, "baud": 9600}}, "different settings"),
-        ({"link": {"unit": 1}, "adapter": "shrc203"}, "different `adapter`"),
-        ({"link": {"unit": 1}, "host": "far"}, "different `host`"),
+        ({}, "both have address 0"),
+        ({"link": {"address": None}}, "has an address there, and b has none"),
+        ({"link": {"address": 1, "baud": 9600}}, "different settings"),
+        ({"link": {"address": 1}, "adapter": "shrc203"}, "different `adapter`"),
+        ({"link": {"address": 1}, "host": "far"}, "different `host`"),
     ],
 )
 def test_a_fleet_says_why_controllers_can_not_share_a_port(changes: dict[str, Any], words: str):
-    one = FLEET | {"link": FLEET["link"] | {"unit": 0}}
+    one = FLEET | {"link": FLEET["link"] | {"address": 0}}
     other = one | changes | {"link": one["link"] | changes.get("link", {})}
     with pytest.raises((ValueError, FileError), match=words):
         Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "f", "controllers": {"a": one, "b": other}})

@@ -10,13 +10,19 @@ from typing import Any, cast
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, ChainWorld, World, run, run_chain, trapezoid
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.common.gate import Gate
-from adapters.yaskawa.smc2000.options import Smc2000Options
-from adapters.yaskawa.smc2000.program import BESIDE, LETTERS, arrays, program, variables
+from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
+from adapters.yaskawa.smc2000.program import (
+    INTERLEAVED_COMMANDS,
+    LETTERS,
+    contour_arrays,
+    program_lines,
+    program_variables,
+)
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 
@@ -36,10 +42,10 @@ def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[s
 
 async def armed(world: World, profiles: dict[str, Profile]) -> tuple[Any, int]:
     """Armed with the lead that was declared."""
-    mapping = world.driver.mapping()
-    lowered = world.driver.lower(profiles, StartWay(), mapping)
+    mapping = world.driver.clock_mapping()
+    lowered = world.driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
-    await world.driver.arm(lowered, t0_ns, mapping)
+    await world.driver.arm_move(lowered, t0_ns, mapping)
     assert world.clock.now_ns() < t0_ns - lowered.costs.disarm_ns
     return lowered, t0_ns
 
@@ -57,8 +63,8 @@ async def usable(world: World) -> None:
             profiles = {axis: trapezoid(*way, 20_000, 204_800) for axis, way in ends.items()}
         _, t0_ns = await armed(world, profiles)
         await world.driver.go()
-        await world.driver.started()
-        outcome = await world.driver.outcome()
+        await world.driver.wait_for_start()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "done", outcome
         assert world.clock.now_ns() > t0_ns
         assert [world.controller.position(motor) for motor in "XY"] == [at + 4000 for at in here.values()]
@@ -77,27 +83,29 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
             ends = {axis: draw.randrange(-100_000, 100_000) for axis in at}
             profiles = jerked({axis: (at[axis], ends[axis]) for axis in at}, draw.uniform(0.3, 1.0))
             at = ends
-            before = len(world.controller.motions)
-            mapping = world.driver.mapping()
+            before = len(world.controller.commanded_motions)
+            mapping = world.driver.clock_mapping()
             assert mapping is not None
             lowered, t0_ns = await armed(world, profiles)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
 
             async def watch() -> tuple[Any, Any]:
-                started = await world.driver.started()
-                return started, await world.driver.outcome()
+                started = await world.driver.wait_for_start()
+                return started, await world.driver.wait_for_end()
 
             watching = asyncio.get_running_loop().create_task(watch())
             await sleep_until_ns(world.clock, t0_ns + 20 * NS_PER_MS)
             timebase = cast(Any, world.controller).machine.timebase
-            start = world.controller.motions[before]
+            start = world.controller.commanded_motions[before]
             first = next(
-                n for n in range(timebase.sample() - 40, timebase.sample()) if timebase.true_ns(n) == start.start_ns
+                n
+                for n in range(timebase.current_sample() - 40, timebase.current_sample())
+                if timebase.true_ns(n) == start.start_ns
             )
             contour = lowered.load.contour
-            plans = {axis: profile.evaluator() for axis, profile in profiles.items()}
-            for instant in contour.instants[5:]:
+            plans = {axis: profile.make_evaluator() for axis, profile in profiles.items()}
+            for instant in contour.record_ends[5:]:
                 await sleep_until_ns(world.clock, timebase.true_ns(first + instant))
                 time_s = (mapping.host_ns(first + instant) - t0_ns) * 1e-9
                 for axis, plan in plans.items():
@@ -105,7 +113,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
                     assert abs(real - plan(time_s).position) <= 1.0
             started, outcome = await watching
             assert outcome.state == "done", outcome
-            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            motions = {motion.axis: motion for motion in world.controller.commanded_motions[before:]}
             for axis, motor in MOTORS.items():
                 motion = motions[motor]
                 assert motion.end_ns is not None and motion.end_counts == ends[axis]
@@ -125,15 +133,15 @@ def test_the_declared_time_is_what_arming_takes_at_the_most_and_not_much_more(ho
     async def main(world: World) -> None:
         await world.ready()
         for ends in ({"x": (0, 90_000)}, {"x": (0, -200_000), "y": (0, 300_000)}):
-            mapping = world.driver.mapping()
-            lowered = world.driver.lower(jerked(ends), StartWay(), mapping)
+            mapping = world.driver.clock_mapping()
+            lowered = world.driver.lower_profiles(jerked(ends), StartOptions(), mapping)
             began_ns = world.clock.now_ns()
             t0_ns = began_ns + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
-            await world.driver.arm(lowered, t0_ns, mapping)
+            await world.driver.arm_move(lowered, t0_ns, mapping)
             took_ns = world.clock.now_ns() - began_ns
             assert 0.5 * lowered.costs.arm_ns < took_ns <= lowered.costs.arm_ns
-            await world.driver.disarm()
-            assert not world.controller.motions
+            await world.driver.disarm_move()
+            assert not world.controller.commanded_motions
 
     run(main, hold_ms=hold_ms, fleet=FLEET | {"options": {"hold_us": 1000 * hold_ms}})
 
@@ -143,15 +151,15 @@ def test_the_gate_never_opened_means_no_motion():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(CannotDo) as late:
+        with pytest.raises(Refusal) as late:
             await world.driver.go()
-        assert late.value.refusal.code == "late"
-        with pytest.raises(DriverFault) as fault:
-            await world.driver.started()
-        assert fault.value.fault.code == "late"
+        assert late.value.code == "late"
+        with pytest.raises(ControllerFault) as fault:
+            await world.driver.wait_for_start()
+        assert fault.value.code == "late"
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
-        await world.driver.disarm()
+        assert not world.controller.commanded_motions
+        await world.driver.disarm_move()
         await usable(world)
 
     run(main)
@@ -165,14 +173,14 @@ def test_nothing_starts_after_a_disarm_or_a_connection_and_the_axes_are_free(bef
         await world.driver.go()
         if before_ms is not None:
             await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-            await world.driver.disarm()
-            await world.driver.disarm()
+            await world.driver.disarm_move()
+            await world.driver.disarm_move()
         else:
             await world.driver.close()
             await sleep_ns(world.clock, NS_PER_MS)
             await world.driver.connect()
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
         await usable(world)
 
     run(main)
@@ -195,7 +203,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         # The wire takes some milliseconds, and a record that is being executed is ended.
         assert world.controller.position("X") - at <= VELOCITY * 0.03
         if after_ms < -30:
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await usable(world)
 
@@ -210,11 +218,11 @@ def test_a_stop_while_it_is_loaded_refuses_the_step(after_ms: int, abort: bool):
         arming = asyncio.get_running_loop().create_task(armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)})))
         await sleep_ns(world.clock, after_ms * NS_PER_MS)
         await world.driver.stop(abort)
-        with suppress(CannotDo, DriverFault):
+        with suppress(Refusal, ControllerFault):
             await arming
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         await sleep_ns(world.clock, 3 * NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
         await usable(world)
 
     run(main)
@@ -225,14 +233,14 @@ def test_a_stop_in_motion_is_told_as_one():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
         await world.driver.go()
-        await world.driver.started()
-        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await world.driver.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
         await world.driver.stop(False)
         outcome = await watching
         assert outcome.state == "stopped", outcome
         assert "axis x stopped in the middle of its contour" in outcome.reason
-        end_ns = world.controller.motions[0].end_ns
+        end_ns = world.controller.commanded_motions[0].end_ns
         assert end_ns is not None
         assert outcome.ended["x"].earliest_ns <= end_ns <= outcome.ended["x"].latest_ns
 
@@ -251,8 +259,8 @@ def test_a_contour_is_played_beside_polls_without_end():
                 await world.driver.poll()
 
         polling = asyncio.get_running_loop().create_task(polls())
-        await world.driver.started()
-        outcome = await world.driver.outcome()
+        await world.driver.wait_for_start()
+        outcome = await world.driver.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
 
@@ -264,11 +272,11 @@ def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 400_000)}))
         await world.driver.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await sleep_until_ns(world.clock, t0_ns + 3 * NS_PER_S)
         assert world.controller.at_rest()
         assert 0 < world.controller.position("X") < 300_000
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
         assert "watchdog" in outcome.reason
         await usable(world)
@@ -280,10 +288,10 @@ def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"\x1a", b"7\x1a")
-        with pytest.raises((CannotDo, DriverFault)):
+        with pytest.raises((Refusal, ControllerFault)):
             await armed(world, jerked({"x": (0, 90_000)}))
         world.wire.to_far = None
-        await world.driver.disarm()
+        await world.driver.disarm_move()
         await usable(world)
 
     run(main)
@@ -303,13 +311,13 @@ def test_an_upload_that_is_too_long_says_what_would_fit(options: dict[str, Any],
         await world.driver.poll()
         profiles = jerked({"x": (0, 600_000), "y": (0, 200_000)})
         if words is None:
-            lowered = world.driver.lower(profiles, StartWay(), world.driver.mapping())
+            lowered = world.driver.lower_profiles(profiles, StartOptions(), world.driver.clock_mapping())
             assert re.search(r"records of (16|32|64) samples", lowered.commands[0])
             return
-        with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(profiles, StartWay(), world.driver.mapping())
-        assert refusal.value.refusal.code == "upload-too-long"
-        text = f"{refusal.value.refusal.text} {refusal.value.refusal.remedy}"
+        with pytest.raises(Refusal) as refusal:
+            world.driver.lower_profiles(profiles, StartOptions(), world.driver.clock_mapping())
+        assert refusal.value.code == "upload-too-long"
+        text = f"{refusal.value.text} {refusal.value.remedy}"
         assert re.search(words, text), text
 
     run(main, fleet=FLEET | {"options": options})
@@ -321,7 +329,7 @@ def test_trapezoids_go_by_the_registers_however_far_they_are_off():
         await world.driver.poll()
         for speed in (30.0, 700.0, 20_000.0):
             profiles = {"x": trapezoid(0, round(3 * speed), speed, 2 * speed)}
-            lowered = world.driver.lower(profiles, StartWay(), world.driver.mapping())
+            lowered = world.driver.lower_profiles(profiles, StartOptions(), world.driver.clock_mapping())
             assert lowered.commands[0].startswith("PA")
 
     run(main)
@@ -331,8 +339,8 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
     async def main(world: ChainWorld) -> None:
         await world.ready()
         driver = world.drivers[1]
-        mapping = driver.mapping()
-        lowered = driver.lower(jerked({"x": (0, 50_000)}), StartWay(), mapping)
+        mapping = driver.clock_mapping()
+        lowered = driver.lower_profiles(jerked({"x": (0, 50_000)}), StartOptions(), mapping)
         longest_ns = 0
 
         async def polls() -> None:
@@ -345,12 +353,12 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
 
         polling = asyncio.get_running_loop().create_task(polls())
         t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
-        await driver.arm(lowered, t0_ns, mapping)
+        await driver.arm_move(lowered, t0_ns, mapping)
         assert longest_ns < 200 * NS_PER_MS
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.started()
-        outcome = await driver.outcome()
+        await driver.wait_for_start()
+        outcome = await driver.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
         assert world.units[1].position("X") == 50_000
@@ -361,11 +369,17 @@ def test_a_unit_of_a_chain_is_loaded_while_the_others_are_polled():
 @pytest.mark.parametrize("count", range(1, 7))
 def test_the_resident_program_fits_into_the_controller(count: int):
     axes = tuple(range(len(LETTERS) - count, len(LETTERS)))
-    lines = program(axes, True, 3, 1, Gate.of(Smc2000Options(servo_period_us=250, decode_us=2000), BESIDE))
+    lines = program_lines(
+        axes,
+        True,
+        3,
+        1,
+        GateTiming.for_options(Smc2000DriverOptions(servo_period_us=250, decode_us=2000), INTERLEAVED_COMMANDS),
+    )
     assert len(lines) <= LINES_MOST
     assert all(len(line) <= MAX_LINE for line in lines)
     labels = [line.split(";")[0] for line in lines if line.startswith("#")]
     assert len(labels) == len(set(labels)) <= LABELS_MOST
     assert all(len(label) <= 8 for label in labels)
     assert any(line.startswith("CM ") for line in lines) == (count <= 4)
-    assert all(len(name) <= 8 for name in (*variables(axes), *arrays(axes)))
+    assert all(len(name) <= 8 for name in (*program_variables(axes), *contour_arrays(axes)))

@@ -6,9 +6,9 @@ from random import Random
 import pytest
 from unit.adapters.test_smc2000_bench import World, run, trapezoid
 
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
 
@@ -20,7 +20,7 @@ def test_a_step_runs_from_connect_to_its_outcome():
         profiles = {"x": trapezoid(0, 40_000, 80_000, 700_000), "y": trapezoid(0, -20_000, 40_000, 350_000)}
         lowered, started, outcome, t0_ns = await world.moved(profiles)
         assert outcome.state == "done", outcome
-        motions = {motion.axis: motion for motion in world.controller.motions}
+        motions = {motion.axis: motion for motion in world.controller.commanded_motions}
         for axis, letter in (("x", "X"), ("y", "Y")):
             motion = motions[letter]
             assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
@@ -42,14 +42,14 @@ def test_what_came_with_another_digit_refuses_the_step(told: bytes, read: str):
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = garble
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 40_000, 80_000, 700_000)}, StartWay(), mapping)
-        with pytest.raises(CannotDo, match=f"{read} reads back as") as refusal:
-            await world.driver.arm(lowered, world.clock.now_ns() + 2 * NS_PER_S, mapping)
-        assert refusal.value.refusal.code == "read-back"
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 40_000, 80_000, 700_000)}, StartOptions(), mapping)
+        with pytest.raises(Refusal, match=f"{read} reads back as") as refusal:
+            await world.driver.arm_move(lowered, world.clock.now_ns() + 2 * NS_PER_S, mapping)
+        assert refusal.value.code == "read-back"
         world.wire.to_far = None
-        await world.driver.disarm()
-        assert not world.controller.motions
+        await world.driver.disarm_move()
+        assert not world.controller.commanded_motions
 
     run(main)
 
@@ -69,10 +69,10 @@ def test_spans_and_budgets_hold_over_random_moves_crystals_and_adapters(seed: in
                 speed, ramp = draw.uniform(20_000, 99_000), draw.uniform(50_000, 990_000)
                 profiles[axis] = trapezoid(at[axis], end, speed, ramp, draw.uniform(1.0, 1.3))
                 at[axis] = end
-            before = len(world.controller.motions)
+            before = len(world.controller.commanded_motions)
             lowered, started, outcome, t0_ns = await world.moved(profiles)
             assert outcome.state == "done", outcome
-            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            motions = {motion.axis: motion for motion in world.controller.commanded_motions[before:]}
             for axis, letter in (("x", "X"), ("y", "Y")):
                 motion = motions[letter]
                 assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
@@ -95,19 +95,19 @@ def test_spans_and_budgets_hold_over_random_moves_crystals_and_adapters(seed: in
 def test_the_gate_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(CannotDo) as late:
+        with pytest.raises(Refusal) as late:
             await world.driver.go()
-        assert late.value.refusal.code == "late"
-        with pytest.raises(DriverFault) as fault:
-            await world.driver.started()
-        assert fault.value.fault.code == "late"
+        assert late.value.code == "late"
+        with pytest.raises(ControllerFault) as fault:
+            await world.driver.wait_for_start()
+        assert fault.value.code == "late"
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
 
     run(main)
 
@@ -117,10 +117,10 @@ def test_the_gate_never_opened_means_no_motion():
 def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
         await world.driver.stop(abort)
@@ -128,7 +128,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
         assert world.controller.at_rest()
         assert abs(world.controller.position("X")) < 100
         if before_ms >= 30:
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
 
     run(main)
 
@@ -137,21 +137,21 @@ def test_disarmed_and_reconnected_units_do_not_start():
     async def main(world: World) -> None:
         await world.ready()
         for way in ("disarm", "reconnect"):
-            mapping = world.driver.mapping()
-            lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
+            mapping = world.driver.clock_mapping()
+            lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
             t0_ns = world.clock.now_ns() + NS_PER_S
-            await world.driver.arm(lowered, t0_ns, mapping)
+            await world.driver.arm_move(lowered, t0_ns, mapping)
             await world.driver.go()
             if way == "disarm":
-                await world.driver.disarm()
-                await world.driver.disarm()
+                await world.driver.disarm_move()
+                await world.driver.disarm_move()
             else:
                 await world.driver.close()
                 await sleep_ns(world.clock, NS_PER_MS)
                 await world.driver.connect()
             await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
             await world.driver.poll()
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
 
     run(main)
 
@@ -165,7 +165,7 @@ def test_axes_without_a_way_take_part_without_moving():
             assert outcome.state == "done"
             assert set(started) == set(outcome.ended) == set(profiles)
             assert lowered.durations_s["y"] == 0
-        assert {motion.axis for motion in world.controller.motions} == {"X"}
+        assert {motion.axis for motion in world.controller.commanded_motions} == {"X"}
 
     run(main)
 
@@ -176,7 +176,7 @@ def test_minutes_of_polls_are_seconds_of_work():
         for _ in range(3000):
             assert not (await world.driver.poll()).restarted
             await sleep_ns(world.clock, 100 * NS_PER_MS)
-        mapping = world.driver.mapping()
+        mapping = world.driver.clock_mapping()
         assert mapping is not None
         assert abs(mapping.rate_ppm + 40.0) < 5
         # Half a round trip, and what the middle is moved by because commands usually take their half millisecond.

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc2000_bench import FLEET, LIMITS, World, run, trapezoid, typed
 
-from adapters.contract import CannotDo, DriverFault
 from adapters.yaskawa.smc2000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
 
 
@@ -40,7 +40,7 @@ def test_it_is_reached_in_any_state_and_nothing_moves(before: str):
         await link.close()
         await sleep_ns(world.clock, NS_PER_MS)
         await world.ready(5)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
         _, _, outcome, _ = await world.moved({"x": trapezoid(0, 5000, 20_000, 200_000)})
         assert outcome.state == "done", outcome
 
@@ -69,8 +69,8 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
         _, _, outcome, _ = await world.moved(profiles)
         assert outcome.state == "done"
         assert (world.controller.position("X"), world.controller.position("Y")) == (5000, -3000)
-        assert "Unrecognized" in await world.driver.raw("tpx")
-        assert (await world.driver.raw("MG _RPX")).strip() == "5000"
+        assert "Unrecognized" in await world.driver.send_raw("tpx")
+        assert (await world.driver.send_raw("MG _RPX")).strip() == "5000"
 
     run(main, options=options)
 
@@ -91,9 +91,9 @@ def test_another_program_is_not_destroyed_while_it_runs():
     async def main(world: World) -> None:
         await world.talk("DL\r#LOOP;WT 10;JP #LOOP\r\x1a")
         await world.talk("XQ #LOOP,3")
-        with pytest.raises(DriverFault, match="thread 3") as fault:
+        with pytest.raises(ControllerFault, match="thread 3") as fault:
             await world.driver.connect()
-        assert fault.value.fault.code == "other-program"
+        assert fault.value.code == "other-program"
         await world.driver.close()
         await sleep_ns(world.clock, NS_PER_MS)
         await world.talk("HX3")
@@ -108,9 +108,9 @@ def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
     async def main(world: World) -> None:
         await world.talk(line)
         await world.driver.connect()
-        with pytest.raises(DriverFault, match=words) as fault:
+        with pytest.raises(ControllerFault, match=words) as fault:
             await world.driver.configure()
-        assert fault.value.fault.code == "config-mismatch"
+        assert fault.value.code == "config-mismatch"
 
     run(main)
 
@@ -120,9 +120,9 @@ def test_an_interpreter_that_is_held_is_a_fault_with_what_to_do():
         await world.ready(3)
         for _ in range(3):
             began_ns = world.clock.now_ns()
-            with pytest.raises(DriverFault, match="came after") as fault:
-                await world.driver.raw("WT 10000")
-            assert fault.value.fault.code == "no-answer" and "interpreter" in fault.value.fault.remedy
+            with pytest.raises(ControllerFault, match="came after") as fault:
+                await world.driver.send_raw("WT 10000")
+            assert fault.value.code == "no-answer" and "interpreter" in fault.value.remedy
             assert world.clock.now_ns() - began_ns < NS_PER_S
         await sleep_ns(world.clock, 30 * NS_PER_S)
         assert not (await world.driver.poll()).restarted
@@ -135,11 +135,11 @@ def test_noise_is_a_fault_and_the_next_poll_finds_its_way(noise: bytes):
     async def main(world: World) -> None:
         await world.ready(5)
         world.wire.to_near = lambda data: noise
-        with pytest.raises((DriverFault, LinkClosed)):
+        with pytest.raises((ControllerFault, LinkClosed)):
             await world.driver.poll()
         world.wire.to_near = None
         assert not (await world.driver.poll()).restarted
-        assert float(await world.driver.raw("MG 123")) == 123
+        assert float(await world.driver.send_raw("MG 123")) == 123
 
     run(main)
 
@@ -158,7 +158,7 @@ def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
         for _ in range(150):
             try:
                 reading = await world.driver.poll()
-            except (DriverFault, LinkClosed):
+            except (ControllerFault, LinkClosed):
                 continue
             good += 1
             assert reading.axes["x"].commanded_counts == 0 and reading.axes["x"].enabled
@@ -178,8 +178,8 @@ def test_a_power_cycle_and_a_reset_are_told_from_a_broken_cable():
                 await sleep_ns(world.clock, 5 * NS_PER_S)
                 world.controller.set_power(True)
             else:
-                await world.driver.raw("RS")
-            with pytest.raises((LinkClosed, LinkRefused, DriverFault)):
+                await world.driver.send_raw("RS")
+            with pytest.raises((LinkClosed, LinkRefused, ControllerFault)):
                 for _ in range(3):
                     await world.driver.poll()
             world.wire.cut = False
@@ -199,7 +199,7 @@ def test_switches_are_told_in_words_and_a_limit_ends_a_move():
         world.controller.set_limit("Y", "reverse")
         assert (await world.driver.poll()).axes["y"].limit == "reverse"
         world.controller.set_limit("Y", "none")
-        await world.driver.load_limits({"x": (-4000, 9000)})
+        await world.driver.load_soft_limits({"x": (-4000, 9000)})
         _, _, outcome, _ = await world.moved({"x": trapezoid(0, 50_000, 20_000, 200_000)})
         assert outcome.state == "fault" and "forward limit" in outcome.reason
 
@@ -214,9 +214,9 @@ def test_it_finds_its_reference_by_every_documented_way(method: str):
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.enable(["x"], True)
+        await world.driver.set_enabled(["x"], True)
         found: list[str] = []
-        assert await world.driver.home(["x"], found.append) == {}
+        assert await world.driver.home_axes(["x"], found.append) == {}
         assert found == ["x"]
         assert world.controller.position("X") == 0
 
@@ -228,12 +228,12 @@ def test_commands_that_are_refused_say_why():
         await world.ready(3)
         world.controller.set_limit("X", "both")
         await world.driver.poll()
-        with pytest.raises(CannotDo, match="22 Begin not possible due to Limit Switch"):
-            await world.driver._device.session.tell("PRX=100")
-            await world.driver._device.session.tell("BGX")
+        with pytest.raises(Refusal, match="22 Begin not possible due to Limit Switch"):
+            await world.driver._device.session.send_command("PRX=100")
+            await world.driver._device.session.send_command("BGX")
         for line in ("DL", "%1", "!BG", "QD A[],0,1"):
-            with pytest.raises(CannotDo, match="no exchange"):
-                await world.driver.raw(line)
+            with pytest.raises(Refusal, match="not answered by a single line"):
+                await world.driver.send_raw(line)
 
     run(main)
 
@@ -242,14 +242,17 @@ def test_commands_that_are_refused_say_why():
     ("change", "words"),
     [
         ({"link": {"kind": "tcp", "host": "h", "port": 23}}, "link.kind"),
-        ({"link": FLEET["link"] | {"unit": 8}}, "link.unit"),
+        ({"link": FLEET["link"] | {"address": 8}}, "link.address"),
         ({"link": FLEET["link"] | {"parity": "even"}}, "parity"),
         ({"axes": {"x": FLEET["axes"]["x"] | {"motors": ["Q"]}}}, "no motor"),
-        ({"axes": {"x": FLEET["axes"]["x"] | {"limits": {"velocity": 9000, "acceleration": 9}}}}, "at most 8000"),
+        (
+            {"axes": {"x": FLEET["axes"]["x"] | {"limits": {"velocity": 9000, "acceleration": 9}}}},
+            "the maximum is 8000",
+        ),
         ({"inputs": {"i": {"number": 25}}}, "inputs 1 to 24"),
         ({"options": {"motor_type": {"z": 2}}}, "no axis z"),
     ],
 )
 def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
     with pytest.raises(ValueError, match=words):
-        MAKE.check(Controller.model_validate(FLEET | change))
+        MAKE.check_config(Controller.model_validate(FLEET | change))

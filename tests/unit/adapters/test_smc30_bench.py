@@ -8,40 +8,41 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from adapters.contract import CannotDo, DriverFault, Outcome, Setup, Span
+from adapters.contract import DriverSetup, HostInterval, MoveOutcome
 from adapters.smc30 import MAKE
-from adapters.smc30.driver import SmcDriver
-from adapters.smc30.lowering import SmcLowered
-from adapters.toolkit.firing import LoopFirer
+from adapters.smc30.driver import Smc30Driver
+from adapters.smc30.lowering import Smc30Lowered
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import LineDrive, LineWait, StartWay
+from orchestrator.model.messages import StartOptions, TriggerDrive, TriggerWait
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Branch, Motion, SimulatedController, Timing, build_line
+from sim.core.controller import CommandedMotion, DeviceSpec, FirmwareTiming, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.smc30 import SMC30
 
 __all__ = ["HOST", "WINDOW_NS", "World", "config", "drive", "run", "wait"]
 
 WINDOW_NS = 50_000
-HOST = StartWay(by="host")
+HOST = StartOptions(start_class="host")
 
 
-def wait(name: str = "go") -> StartWay:
-    return StartWay(wait=LineWait(input=name, earliest_ns=-WINDOW_NS, latest_ns=WINDOW_NS))
+def wait(name: str = "go") -> StartOptions:
+    return StartOptions(wait=TriggerWait(input=name, earliest_ns=-WINDOW_NS, latest_ns=WINDOW_NS))
 
 
-def drive(hold_ms: int = 100) -> StartWay:
-    return StartWay(drive=LineDrive(output="line", hold_ns=hold_ms * NS_PER_MS))
+def drive(hold_ms: int = 100) -> StartOptions:
+    return StartOptions(drive=TriggerDrive(output="line", active_ns=hold_ms * NS_PER_MS))
 
 
 def config(unit: int | None = None, **more: Any) -> Controller:
     link: dict[str, Any] = {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"}
     if unit is not None:
-        link["unit"] = unit
+        link["address"] = unit
     axis: dict[str, Any] = {
         "motors": ["1"],
         "unit": "mm",
@@ -61,11 +62,11 @@ class World:
 
     clock: Clock
     units: dict[int | None, SimulatedController]
-    drivers: dict[int | None, SmcDriver]
+    drivers: dict[int | None, Smc30Driver]
     wire: MemoryWire
 
     @property
-    def one(self) -> tuple[SmcDriver, SimulatedController]:
+    def one(self) -> tuple[Smc30Driver, SimulatedController]:
         """The first driver and its unit."""
         address = next(iter(self.drivers))
         return self.drivers[address], self.units[address]
@@ -74,31 +75,31 @@ class World:
         for driver in self.drivers.values():
             await driver.connect()
             await driver.configure()
-            await driver.enable(["x"], True)
+            await driver.set_enabled(["x"], True)
             await driver.poll()
 
-    async def plan(self, driver: SmcDriver, target: int, stretch: float = 1.2) -> dict[str, Profile]:
+    async def plan(self, driver: Smc30Driver, target: int, stretch: float = 1.2) -> dict[str, Profile]:
         now = (await driver.poll()).axes["x"].commanded_counts
         plan = plan_step([AxisMove("x", now, target, 5000, 25_000)])
         return dict(plan.stretched(plan.duration_s * stretch).profiles)
 
-    def t0(self, lowered: SmcLowered, more_ms: int = 100) -> int:
+    def t0(self, lowered: Smc30Lowered, more_ms: int = 100) -> int:
         """An instant that leaves time for arming, promising and releasing."""
         return self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + more_ms * NS_PER_MS
 
-    async def arm(self, driver: SmcDriver, target: int, how: StartWay = HOST) -> tuple[SmcLowered, int]:
-        lowered = driver.lower(await self.plan(driver, target), how, None)
+    async def arm(self, driver: Smc30Driver, target: int, how: StartOptions = HOST) -> tuple[Smc30Lowered, int]:
+        lowered = driver.lower_profiles(await self.plan(driver, target), how, None)
         t0_ns = self.t0(lowered)
-        await driver.arm(lowered, t0_ns, None)
+        await driver.arm_move(lowered, t0_ns, None)
         return lowered, t0_ns
 
-    async def move(self, driver: SmcDriver, target: int) -> tuple[int, Span, Outcome]:
+    async def move(self, driver: Smc30Driver, target: int) -> tuple[int, HostInterval, MoveOutcome]:
         """A whole step; T0, the start, and what has become of it."""
         _, t0_ns = await self.arm(driver, target)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        started = await driver.started()
-        return t0_ns, started["x"], await driver.outcome()
+        started = await driver.wait_for_start()
+        return t0_ns, started["x"], await driver.wait_for_end()
 
     async def sleep(self, ms: float) -> None:
         await sleep_ns(self.clock, round(ms * NS_PER_MS))
@@ -110,17 +111,17 @@ class World:
 
     async def begun_by_restarted(
         self, unit: SimulatedController, doing: Coroutine[Any, Any, object], after_ms: float, watch_ms: float
-    ) -> list[Motion]:
+    ) -> list[CommandedMotion]:
         """The unit is switched off and on for a moment while it is told to do something, whatever becomes of that:
         the motions that it begins from then on."""
         told = asyncio.ensure_future(doing)
         await self.sleep(after_ms)
         await self.power_cycle(unit, 20)
         on_ns = self.clock.now_ns()
-        with suppress(CannotDo, DriverFault):
+        with suppress(Refusal, ControllerFault):
             await told
         await self.sleep(watch_ms)
-        return [motion for motion in unit.motions if motion.start_ns >= on_ns]
+        return [motion for motion in unit.commanded_motions if motion.start_ns >= on_ns]
 
     async def typed(self, data: bytes, ms: float = 60) -> None:
         """What somebody else says on the line before the drivers are there."""
@@ -145,28 +146,28 @@ def run(
         own: list[int | None] = [*addresses] if addresses else [None]
         with_checksum = more.get("options", {}).get("checksum", True)
         branches = {
-            str(place): Branch(
+            str(place): DeviceSpec(
                 address,
                 {"checksum": with_checksum, **(simulate or {})},
                 Oscillator(0, draw.uniform(-80, 80)),
-                Timing(500 * NS_PER_US, 500 * NS_PER_US),
+                FirmwareTiming(500 * NS_PER_US, 500 * NS_PER_US),
                 seed + place,
             )
             for place, address in enumerate(own)
         }
         line = build_line(SMC30, clock, branches)
-        wire = MemoryWire(clock, serial_wire(9600), line.far, "serial", "serial /dev/ttyS0", copy_context(), seed)
+        wire = MemoryWire(clock, serial_wire(9600), line.endpoint, "serial", "serial /dev/ttyS0", copy_context(), seed)
         shared: dict[str, Any] = {}
-        firer = LoopFirer(clock, lambda: draw.randrange(60_000))
-        drivers: dict[int | None, SmcDriver] = {}
+        firer = LoopTimedWriter(clock, lambda: draw.randrange(60_000))
+        drivers: dict[int | None, Smc30Driver] = {}
         for address in dict.fromkeys(own):
             each = config(address, **more)
-            MAKE.check(each)
-            options = MAKE.options.model_validate(each.options)
-            driver = MAKE.driver(Setup(f"u{address}", each, options, clock, wire.open, firer, shared))
-            assert isinstance(driver, SmcDriver)
+            MAKE.check_config(each)
+            options = MAKE.options_model.model_validate(each.options)
+            driver = MAKE.create_driver(DriverSetup(f"u{address}", each, options, clock, wire.open, firer, shared))
+            assert isinstance(driver, Smc30Driver)
             drivers[address] = driver
-        units = {address: line.units[str(place)] for place, address in reversed(list(enumerate(own)))}
+        units = {address: line.devices[str(place)] for place, address in reversed(list(enumerate(own)))}
         world = World(clock, units, drivers, wire)
         try:
             await main(world)

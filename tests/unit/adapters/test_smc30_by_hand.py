@@ -5,8 +5,9 @@ import asyncio
 import pytest
 from unit.adapters.test_smc30_bench import World, run
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.errors import Refusal
 
 
 @pytest.mark.parametrize("end", [7, 40, 900, 20_000])
@@ -14,7 +15,7 @@ def test_a_jog_ends_exactly_where_its_way_does(end: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        await driver.jog("x", JogMove(2500.0, 25_000.0, end))
+        await driver.jog_axis("x", JogMove(2500.0, 25_000.0, end))
         fastest = 0.0
         for _ in range(2000):
             await world.sleep(5)
@@ -35,13 +36,13 @@ def test_a_jog_changes_its_speed_by_way_of_a_stop_and_goes_on_when_it_is_repeate
         await world.ready()
         driver, unit = world.one
         first = JogMove(1000.0, 25_000.0, None)
-        await driver.jog("x", first)
+        await driver.jog_axis("x", first)
         await world.sleep(300)
-        await driver.jog("x", first)
-        assert len(unit.motions) == 1
-        await driver.jog("x", JogMove(-2000.0, 25_000.0, None))
+        await driver.jog_axis("x", first)
+        assert len(unit.commanded_motions) == 1
+        await driver.jog_axis("x", JogMove(-2000.0, 25_000.0, None))
         await world.sleep(400)
-        assert len(unit.motions) == 2
+        assert len(unit.commanded_motions) == 2
         assert unit.velocity("1") == pytest.approx(-2000, rel=1e-3)
         reading = (await driver.poll()).axes["x"]
         assert reading.moving
@@ -62,7 +63,7 @@ def test_a_stop_overtakes_a_jog_that_is_being_begun(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        jogging = asyncio.get_running_loop().create_task(driver.jog("x", JogMove(1000.0, 25_000.0, None)))
+        jogging = asyncio.get_running_loop().create_task(driver.jog_axis("x", JogMove(1000.0, 25_000.0, None)))
         await world.sleep(after_ms)
         await driver.stop(False)
         await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
@@ -79,7 +80,7 @@ def test_a_jog_that_is_given_up_stops() -> None:
         await world.ready()
         driver, unit = world.one
         for after_ms in range(0, 200, 9):
-            jogging = asyncio.get_running_loop().create_task(driver.jog("x", JogMove(1000.0, 25_000.0, None)))
+            jogging = asyncio.get_running_loop().create_task(driver.jog_axis("x", JogMove(1000.0, 25_000.0, None)))
             await world.sleep(after_ms)
             if jogging.done():
                 await jogging
@@ -98,19 +99,19 @@ def test_what_can_not_be_jogged_is_refused() -> None:
         await world.ready()
         driver, unit = world.one
         for move, code in ((JogMove(10.0, 25_000.0, None), "too-slow"), (JogMove(-500.0, 25_000.0, 0), "at-end")):
-            with pytest.raises(CannotDo) as caught:
-                await driver.jog("x", move)
-            assert caught.value.refusal.code == code
+            with pytest.raises(Refusal) as caught:
+                await driver.jog_axis("x", move)
+            assert caught.value.code == code
         await world.arm(driver, 500)
-        with pytest.raises(CannotDo) as caught:
-            await driver.jog("x", JogMove(500.0, 25_000.0, None))
-        assert caught.value.refusal.code == "busy"
-        await driver.disarm()
-        await driver.enable(["x"], False)
-        with pytest.raises(CannotDo) as caught:
-            await driver.jog("x", JogMove(500.0, 25_000.0, None))
-        assert caught.value.refusal.code == "not-enabled"
-        assert not unit.motions
+        with pytest.raises(Refusal) as caught:
+            await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
+        assert caught.value.code == "busy"
+        await driver.disarm_move()
+        await driver.set_enabled(["x"], False)
+        with pytest.raises(Refusal) as caught:
+            await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
+        assert caught.value.code == "not-enabled"
+        assert not unit.commanded_motions
 
     run(main)
 
@@ -119,7 +120,7 @@ def test_a_jog_into_the_end_of_travel_says_which() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, _ = world.one
-        await driver.jog("x", JogMove(-1000.0, 25_000.0, None))
+        await driver.jog_axis("x", JogMove(-1000.0, 25_000.0, None))
         await world.sleep(1500)
         reading = (await driver.poll()).axes["x"]
         assert (reading.commanded_counts, reading.limit, reading.moving) == (-600, "reverse", False)
@@ -133,10 +134,10 @@ def test_homing_to_an_end_of_travel(direction: str) -> None:
         await world.ready()
         driver, unit = world.one
         found: list[str] = []
-        assert await driver.home(["x"], found.append) == {}
+        assert await driver.home_axes(["x"], found.append) == {}
         assert found == ["x"]
         assert (await driver.poll()).axes["x"].commanded_counts == 0
-        assert unit.motions[-1].end_counts == (-600 if direction == "negative" else 700)
+        assert unit.commanded_motions[-1].end_counts == (-600 if direction == "negative" else 700)
 
     run(main, simulate={"travel_steps": [-600, 700]}, axis={"homing": {"speed": 1, "direction": direction}})
 
@@ -146,9 +147,9 @@ def test_homing_to_a_user_input(reached: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        homing = asyncio.get_running_loop().create_task(driver.home(["x"], lambda _: None))
+        homing = asyncio.get_running_loop().create_task(driver.home_axes(["x"], lambda _: None))
         await world.sleep(600)
-        assert unit.moving("1")
+        assert unit.is_moving("1")
         if reached:
             unit.set_input(3, True)
         failed = await homing
@@ -157,8 +158,8 @@ def test_homing_to_a_user_input(reached: bool) -> None:
             assert (await driver.poll()).axes["x"].commanded_counts == 0
         else:
             # The end of travel came first: that is no reference.
-            assert failed["x"].refusal.code == "homing-failed"
-            assert "input 3" in failed["x"].refusal.text
+            assert failed["x"].code == "homing-failed"
+            assert "input 3" in failed["x"].text
 
     run(main, simulate={"travel_steps": [-2000, 2000]}, axis={"homing": {"speed": 0.5, "method": "input3"}})
 
@@ -169,9 +170,9 @@ def test_a_search_that_is_ended_has_found_nothing(how: str) -> None:
         await world.ready()
         driver, unit = world.one
         await world.move(driver, 300)
-        homing = asyncio.get_running_loop().create_task(driver.home(["x"], lambda _: None))
+        homing = asyncio.get_running_loop().create_task(driver.home_axes(["x"], lambda _: None))
         await world.sleep(500)
-        assert unit.moving("1")
+        assert unit.is_moving("1")
         if how == "stop":
             await driver.stop(False)
         elif how == "cancel":
@@ -186,7 +187,7 @@ def test_a_search_that_is_ended_has_found_nothing(how: str) -> None:
             assert isinstance(result, asyncio.CancelledError)
         else:
             assert isinstance(result, dict)
-            assert result["x"].refusal.code == "homing-failed"
+            assert result["x"].code == "homing-failed"
 
     run(main, simulate={"travel_steps": [-20_000, 2000]})
 
@@ -195,13 +196,13 @@ def test_homing_finds_the_place_again_after_a_kill() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, _ = world.one
-        await driver.jog("x", JogMove(1000.0, 25_000.0, None))
+        await driver.jog_axis("x", JogMove(1000.0, 25_000.0, None))
         await world.sleep(300)
         await driver.stop(True)
         await world.sleep(300)
-        assert (await driver.poll()).axes["x"].lost
-        await driver.home(["x"], lambda _: None)
-        assert not (await driver.poll()).axes["x"].lost
+        assert (await driver.poll()).axes["x"].position_lost
+        await driver.home_axes(["x"], lambda _: None)
+        assert not (await driver.poll()).axes["x"].position_lost
 
     run(main, simulate={"travel_steps": [-600, 20_000]})
 
@@ -216,15 +217,15 @@ def test_outputs_inputs_and_raw() -> None:
         reading = await driver.poll()
         assert reading.outputs == {1: False, 2: False, 3: True}
         assert reading.inputs == {1: False, 2: True, 3: False}
-        assert await driver.raw("VT") == "T1000"
-        assert await driver.raw("nonsense") == "E4"
-        with pytest.raises(CannotDo):
-            await driver.raw("VT\rK")
-        await driver.jog("x", JogMove(500.0, 25_000.0, None))
-        with pytest.raises(CannotDo) as caught:
+        assert await driver.send_raw("VT") == "T1000"
+        assert await driver.send_raw("nonsense") == "E4"
+        with pytest.raises(Refusal):
+            await driver.send_raw("VT\rK")
+        await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
+        with pytest.raises(Refusal) as caught:
             await driver.set_output(3, False)
-        assert caught.value.refusal.code == "moving"
-        assert await driver.raw("F") == "B"
+        assert caught.value.code == "moving"
+        assert await driver.send_raw("F") == "B"
 
     run(main, (4,))
 
@@ -236,7 +237,7 @@ def test_a_unit_that_is_restarted_while_its_search_is_prepared_does_not_begin_it
         driver, unit = world.one
 
         async def search() -> None:
-            assert await driver.home(["x"], lambda _: None)
+            assert await driver.home_axes(["x"], lambda _: None)
 
         assert not await world.begun_by_restarted(unit, search(), after_ms, 3000)
 
@@ -250,7 +251,7 @@ def test_a_unit_that_is_restarted_while_a_jog_is_prepared_does_not_begin_it(afte
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        jogging = driver.jog("x", JogMove(-1000.0, 25_000.0, None))
+        jogging = driver.jog_axis("x", JogMove(-1000.0, 25_000.0, None))
         assert not await world.begun_by_restarted(unit, jogging, after_ms, 1000)
 
     run(main)

@@ -10,11 +10,12 @@ import pytest
 from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_smc30_bench import HOST, World, config, run, wait
 
-from adapters.contract import CannotDo, DriverFault, JogMove, Setup
+from adapters.contract import DriverSetup, JogMove
 from adapters.smc30 import MAKE
-from adapters.toolkit.firing import LoopFirer
+from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
 from sim.core.controller import SimulatedController
@@ -34,7 +35,7 @@ def test_a_unit_left_in_programming_mode_with_a_line_half_typed() -> None:
         await world.ready()
         _, _, outcome = await world.move(driver, 300)
         assert outcome.state == "done"
-        assert [motion.end_counts for motion in unit.motions] == [300]
+        assert [motion.end_counts for motion in unit.commanded_motions] == [300]
 
     run(main, (2,))
 
@@ -44,7 +45,7 @@ def test_a_half_typed_motion_of_a_person_is_not_ended_into_one() -> None:
         _, unit = world.one
         await world.typed(b"+700")
         await world.ready()
-        assert not unit.motions
+        assert not unit.commanded_motions
 
     run(main, options={"checksum": False})
 
@@ -53,7 +54,7 @@ def test_a_program_that_runs_is_not_stopped_but_waited_for() -> None:
     async def main(world: World) -> None:
         driver, unit = world.one
         await world.typed(framed("S100") + framed("T1000") + framed("+3000"), 300)
-        assert unit.moving("1")
+        assert unit.is_moving("1")
         await driver.connect()
         await driver.configure()
         assert unit.position("1") == 3000
@@ -67,11 +68,11 @@ def test_a_program_that_does_not_end_is_a_fault_with_a_remedy() -> None:
         driver, unit = world.one
         await world.typed(b"".join(map(framed, ("PO", "W1", "+700", "E"))), 100)
         await driver.connect()
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await driver.configure()
-        assert caught.value.fault.code == "busy"
-        assert caught.value.fault.remedy
-        assert not unit.motions
+        assert caught.value.code == "busy"
+        assert caught.value.remedy
+        assert not unit.commanded_motions
 
     run(main, options={"busy_wait_s": 2})
 
@@ -91,10 +92,10 @@ def test_a_factor_that_somebody_has_left_changes_no_length() -> None:
 def test_the_checksum_switch_is_compared(switched_on: bool) -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await driver.connect()
-        assert caught.value.fault.code == "config-mismatch"
-        assert f"`checksum: {str(switched_on).lower()}`" in caught.value.fault.remedy
+        assert caught.value.code == "config-mismatch"
+        assert f"`checksum: {str(switched_on).lower()}`" in caught.value.remedy
 
     run(main, (4,), {"checksum": switched_on}, options={"checksum": not switched_on})
 
@@ -110,7 +111,7 @@ def test_every_firmware_that_the_manual_leaves_open_does(firmware: dict[str, obj
         for target in (4000, -2000):
             _, span, outcome = await world.move(driver, target)
             assert outcome.state == "done"
-            assert span.earliest_ns <= unit.motions[-1].start_ns <= span.latest_ns
+            assert span.earliest_ns <= unit.commanded_motions[-1].start_ns <= span.latest_ns
         assert unit.position("1") == -2000
 
     run(main, (5,), firmware)
@@ -124,20 +125,20 @@ def test_a_plan_from_elsewhere_is_refused_at_arming_and_at_the_promise() -> None
         await world.ready()
         driver, unit = world.one
         profiles = await world.plan(driver, 1000)
-        lowered = driver.lower(profiles, HOST, None)
-        await driver.raw("f+10")
-        with pytest.raises(CannotDo, match="stands at 10") as caught:
-            await driver.arm(lowered, world.t0(lowered), None)
-        assert caught.value.refusal.code == "other-start"
-        await driver.disarm()
-        await driver.raw("f+0")
-        await driver.arm(lowered, world.t0(lowered), None)
-        await driver.raw("f-1")
-        with pytest.raises(CannotDo) as caught:
-            await driver.verify()
-        assert caught.value.refusal.code == "other-start"
-        await driver.disarm()
-        assert not unit.motions
+        lowered = driver.lower_profiles(profiles, HOST, None)
+        await driver.send_raw("f+10")
+        with pytest.raises(Refusal, match="is at 10") as caught:
+            await driver.arm_move(lowered, world.t0(lowered), None)
+        assert caught.value.code == "other-start"
+        await driver.disarm_move()
+        await driver.send_raw("f+0")
+        await driver.arm_move(lowered, world.t0(lowered), None)
+        await driver.send_raw("f-1")
+        with pytest.raises(Refusal) as caught:
+            await driver.verify_armed()
+        assert caught.value.code == "other-start"
+        await driver.disarm_move()
+        assert not unit.commanded_motions
 
     run(main)
 
@@ -148,7 +149,7 @@ def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nt
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        lowered = driver.lower(await world.plan(driver, 1000), wait() if nth % 2 else HOST, None)
+        lowered = driver.lower_profiles(await world.plan(driver, 1000), wait() if nth % 2 else HOST, None)
         count = 0
 
         def refuse(data: bytes) -> bytes:
@@ -159,18 +160,17 @@ def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nt
         world.wire.to_near = refuse
         armed = False
         try:
-            await driver.arm(lowered, world.t0(lowered), None)
+            await driver.arm_move(lowered, world.t0(lowered), None)
             armed = True
-        except (CannotDo, DriverFault) as caught:
-            said = caught.refusal if isinstance(caught, CannotDo) else caught.fault
-            assert said.code
-            assert said.text
+        except (Refusal, ControllerFault) as caught:
+            assert caught.code
+            assert caught.text
         world.wire.to_near = None
-        await driver.disarm()
+        await driver.disarm_move()
         await world.sleep(500)
         unit.set_input(1, True)
         await world.sleep(1500)
-        assert not unit.motions, f"armed: {armed}"
+        assert not unit.commanded_motions, f"armed: {armed}"
         unit.set_input(1, False)
         await driver.clear_faults()
         _, _, outcome = await world.move(driver, 1000)
@@ -184,11 +184,11 @@ def test_a_unit_without_current_is_not_moved() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        await driver.enable(["x"], False)
-        with pytest.raises(CannotDo) as caught:
+        await driver.set_enabled(["x"], False)
+        with pytest.raises(Refusal) as caught:
             await world.arm(driver, 1000)
-        assert caught.value.refusal.code == "not-enabled"
-        assert not unit.motions
+        assert caught.value.code == "not-enabled"
+        assert not unit.commanded_motions
 
     run(main)
 
@@ -204,11 +204,11 @@ def test_the_permanent_memory_is_never_written_and_what_is_loaded_is_not_loaded_
         world.wire.to_far = listen
         await world.ready()
         driver, _ = world.one
-        lowered = driver.lower(await world.plan(driver, 1000), HOST, None)
-        await driver.arm(lowered, world.t0(lowered), None)
-        await driver.disarm()
+        lowered = driver.lower_profiles(await world.plan(driver, 1000), HOST, None)
+        await driver.arm_move(lowered, world.t0(lowered), None)
+        await driver.disarm_move()
         before = len(said)
-        await driver.arm(lowered, world.t0(lowered), None)
+        await driver.arm_move(lowered, world.t0(lowered), None)
         again = said[before:]
         assert b"6Q\x07\r" in again
         assert not any(line.startswith(b"6PO") for line in again)
@@ -236,17 +236,17 @@ def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
             await driver.clear_faults()
             profiles = await world.plan(driver, target)
             world.wire.to_far = world.wire.to_near = spoil
-            lowered = driver.lower(profiles, HOST, None)
+            lowered = driver.lower_profiles(profiles, HOST, None)
             try:
-                await driver.arm(lowered, world.t0(lowered), None)
-                await driver.verify()
+                await driver.arm_move(lowered, world.t0(lowered), None)
+                await driver.verify_armed()
                 await driver.go()
-                await driver.started()
-                assert (await driver.outcome()).state == "done"
-            except (CannotDo, DriverFault):
+                await driver.wait_for_start()
+                assert (await driver.wait_for_end()).state == "done"
+            except (Refusal, ControllerFault):
                 wrong += 1
             world.wire.to_far = world.wire.to_near = None
-            await driver.disarm()
+            await driver.disarm_move()
             await world.sleep(2500)
             assert unit.at_rest()
             # It has gone where it was told, or some of that way, or not at all.
@@ -263,13 +263,13 @@ def test_two_units_with_one_address_are_said(checksum: bool) -> None:
         driver, _ = world.one
         world.units[3].set_input(1, True)
         await world.sleep(5)
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await driver.connect()
             await driver.configure()
             for _ in range(20):
                 await driver.poll()
-        assert caught.value.fault.code in ("two-answers", "garbage")
-        assert "address" in caught.value.fault.remedy
+        assert caught.value.code in ("two-answers", "garbage")
+        assert "address" in caught.value.remedy
 
     run(main, (3, 3), options={"checksum": checksum})
 
@@ -278,10 +278,10 @@ def test_a_unit_that_is_off_is_said_and_the_others_are_read() -> None:
     async def main(world: World) -> None:
         await world.ready()
         world.units[2].set_power(False)
-        with pytest.raises(DriverFault) as caught:
+        with pytest.raises(ControllerFault) as caught:
             await world.drivers[2].poll()
-        assert caught.value.fault.code == "no-answer"
-        assert "unit 2" in caught.value.fault.text
+        assert caught.value.code == "no-answer"
+        assert "unit 2" in caught.value.text
         for address in (1, 3):
             assert not (await world.drivers[address].poll()).axes["x"].moving
         world.units[2].set_power(True)
@@ -294,7 +294,7 @@ def test_replies_never_mix_while_all_are_read_and_some_are_stopped() -> None:
     async def main(world: World) -> None:
         await world.ready()
         for address in world.drivers:
-            await world.drivers[address].raw(f"f+{1000 * (address or 0)}")
+            await world.drivers[address].send_raw(f"f+{1000 * (address or 0)}")
         draw = Random(5)
         ended = False
 
@@ -323,18 +323,18 @@ def test_a_stop_of_one_unit_while_another_is_loaded(after_ms: int) -> None:
     async def main(world: World) -> None:
         await world.ready()
         one, other = world.drivers[1], world.drivers[2]
-        await other.raw("T200")
-        await other.raw("+5000")
-        lowered = one.lower(await world.plan(one, 1000), HOST, None)
-        arming = asyncio.get_running_loop().create_task(one.arm(lowered, world.t0(lowered), None))
+        await other.send_raw("T200")
+        await other.send_raw("+5000")
+        lowered = one.lower_profiles(await world.plan(one, 1000), HOST, None)
+        arming = asyncio.get_running_loop().create_task(one.arm_move(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
         await other.stop(False)
         await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
-        assert not world.units[2].moving("1")
-        with contextlib.suppress(CannotDo):
+        assert not world.units[2].is_moving("1")
+        with contextlib.suppress(Refusal):
             await arming
-        await one.disarm()
-        assert not world.units[1].motions
+        await one.disarm_move()
+        assert not world.units[1].commanded_motions
         _, _, outcome = await world.move(one, 1000)
         assert outcome.state == "done"
 
@@ -349,17 +349,17 @@ def test_power_lost_in_a_move_is_a_fault_and_noticed() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 10_000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.started()
+        await driver.wait_for_start()
         await world.sleep(300)
         unit.set_power(False)
-        with pytest.raises(DriverFault) as caught:
-            await driver.outcome()
-        assert caught.value.fault.code == "no-answer"
+        with pytest.raises(ControllerFault) as caught:
+            await driver.wait_for_end()
+        assert caught.value.code == "no-answer"
         unit.set_power(True)
         await sees_the_restart(driver)
-        await driver.enable(["x"], True)
+        await driver.set_enabled(["x"], True)
         _, _, outcome = await world.move(driver, 500)
         assert outcome.state == "done"
 
@@ -371,12 +371,12 @@ def test_power_lost_and_back_in_a_move() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 10_000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.started()
+        await driver.wait_for_start()
         await world.sleep(300)
         await world.power_cycle(unit, 50)
-        assert (await driver.outcome()).state == "fault"
+        assert (await driver.wait_for_end()).state == "fault"
         await sees_the_restart(driver)
 
     run(main)
@@ -390,15 +390,15 @@ def test_power_lost_and_back_just_before_the_start_is_no_start() -> None:
         driver, unit = world.one
         await world.move(driver, 500)
         _, t0_ns = await world.arm(driver, 10_000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
         await world.power_cycle(unit, 40)
-        with pytest.raises(DriverFault, match="restarted before its start") as caught:
-            await driver.started()
-        assert caught.value.fault.code == "not-started"
+        with pytest.raises(ControllerFault, match="restarted before its start") as caught:
+            await driver.wait_for_start()
+        assert caught.value.code == "not-started"
         await sees_the_restart(driver)
-        assert len(unit.motions) == 1
+        assert len(unit.commanded_motions) == 1
 
     run(main)
 
@@ -425,19 +425,19 @@ def test_a_held_stop_input_ends_the_move_for_good() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 5000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.started()
+        await driver.wait_for_start()
         await world.sleep(300)
         unit.set_input(4, True)
-        outcome = await driver.outcome()
+        outcome = await driver.wait_for_end()
         assert outcome.state == "fault"
         assert "Stop input" in outcome.reason
         unit.set_input(4, False)
         await world.sleep(3000)
         assert unit.at_rest()
         assert unit.position("1") < 5000
-        assert (await driver.poll()).axes["x"].lost
+        assert (await driver.poll()).axes["x"].position_lost
 
     run(main)
 
@@ -448,14 +448,14 @@ def test_a_kill_in_motion_loses_the_place_and_a_ramp_does_not() -> None:
         driver, unit = world.one
         for abort in (False, True):
             await world.arm(driver, 20_000)
-            await driver.verify()
+            await driver.verify_armed()
             await driver.go()
-            await driver.started()
+            await driver.wait_for_start()
             await world.sleep(400)
             await driver.stop(abort)
-            assert (await driver.outcome()).state == "stopped"
+            assert (await driver.wait_for_end()).state == "stopped"
             assert unit.at_rest()
-            assert (await driver.poll()).axes["x"].lost is abort
+            assert (await driver.poll()).axes["x"].position_lost is abort
 
     run(main, (3,))
 
@@ -470,17 +470,17 @@ def test_the_unit_at_address_3_stops_whether_it_understands_z_or_not(understood:
             return data.replace(framed("3Z"), b"3Z#\r")
 
         await world.arm(driver, 20_000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.started()
+        await driver.wait_for_start()
         await world.sleep(400)
         if not understood:
             world.wire.to_far = deaf
         await driver.stop(False)
         await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
         assert unit.at_rest()
-        assert (await driver.outcome()).state == "stopped"
-        assert (await driver.poll()).axes["x"].lost is not understood
+        assert (await driver.wait_for_end()).state == "stopped"
+        assert (await driver.poll()).axes["x"].position_lost is not understood
 
     run(main, (3,))
 
@@ -489,19 +489,19 @@ def test_the_counters_end_is_a_fault_until_it_is_cleared() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        await driver.raw("f+8388000")
-        await driver.raw("+1000")
+        await driver.send_raw("f+8388000")
+        await driver.send_raw("+1000")
         await world.sleep(5000)
         reading = await driver.poll()
         assert [fault.code for fault in reading.faults] == ["counter-overflow"]
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(driver, 0)
-        assert caught.value.refusal.code == "counter-overflow"
-        await driver.disarm()
+        assert caught.value.code == "counter-overflow"
+        await driver.disarm_move()
         await driver.clear_faults()
         reading = await driver.poll()
         assert not reading.faults
-        assert reading.axes["x"].lost
+        assert reading.axes["x"].position_lost
         assert unit.at_rest()
 
     run(main)
@@ -513,11 +513,11 @@ def test_stop_bytes_stop_all_units_of_the_line_whatever_was_half_typed() -> None
         for address in range(1, 8):
             link.write(framed(f"{address}T500") + framed(f"{address}+9000"))
         await world.sleep(500)
-        assert all(unit.moving("1") for unit in world.units.values())
+        assert all(unit.is_moving("1") for unit in world.units.values())
         link.write(b"4+12")
         link.write(MAKE.stop_bytes(config(5)))
         await world.sleep(800)
-        assert not any(unit.moving("1") for unit in world.units.values())
+        assert not any(unit.is_moving("1") for unit in world.units.values())
 
     run(main, range(1, 8))
 
@@ -528,10 +528,10 @@ def test_a_bus_is_stopped_first_by_its_own_line() -> None:
         driver, unit = world.one
         await world.arm(driver, 20_000)
         await driver.go()
-        await driver.started()
+        await driver.wait_for_start()
         await world.sleep(200)
         await driver.close()
-        assert await driver.stop_first()
+        assert await driver.stop_before_connect()
         await world.sleep(1000)
         assert unit.at_rest()
         assert unit.position("1") < 20_000
@@ -544,15 +544,15 @@ def test_a_starting_line_that_is_lost_is_known_at_once() -> None:
         await world.ready()
         driver, unit = world.one
         _, t0_ns = await world.arm(driver, 2000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
         world.wire.to_far = lambda data: b"" if data == framed("E") else data
-        with pytest.raises(DriverFault) as caught:
-            await driver.started()
-        assert caught.value.fault.code == "not-started"
+        with pytest.raises(ControllerFault) as caught:
+            await driver.wait_for_start()
+        assert caught.value.code == "not-started"
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert not unit.motions
-        await driver.disarm()
+        assert not unit.commanded_motions
+        await driver.disarm_move()
 
     run(main)
 
@@ -563,14 +563,14 @@ def test_an_answer_to_the_starting_line_that_is_lost_stops_nothing(late_ms: int)
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 2000)
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
         model = world.wire.model
         world.wire.model = replace(model, latency_ns=model.latency_ns + late_ms * NS_PER_MS)  # the line, too
         world.wire.to_near = lambda data: b"\xff\xff\r" if data == framed("Y") else data
-        span = (await driver.started())["x"]
-        assert (await driver.outcome()).state == "done"
-        assert span.earliest_ns <= unit.motions[0].start_ns <= span.latest_ns
+        span = (await driver.wait_for_start())["x"]
+        assert (await driver.wait_for_end()).state == "done"
+        assert span.earliest_ns <= unit.commanded_motions[0].start_ns <= span.latest_ns
 
     run(main)
 
@@ -580,13 +580,13 @@ def test_two_steps_of_one_line_at_one_instant_are_refused() -> None:
         await world.ready()
         one, two = world.drivers[1], world.drivers[2]
         lowered, t0_ns = await world.arm(one, 2000)
-        second = two.lower(await world.plan(two, 500), HOST, None)
+        second = two.lower_profiles(await world.plan(two, 500), HOST, None)
         # Its slot is the one after; ten milliseconds earlier it is the same.
-        await two.arm(second, t0_ns - 10 * NS_PER_MS, None)
+        await two.arm_move(second, t0_ns - 10 * NS_PER_MS, None)
         await one.go()
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await two.go()
-        assert caught.value.refusal.code == "line-busy"
+        assert caught.value.code == "line-busy"
         assert lowered.lead_ns - second.lead_ns == 10 * NS_PER_MS
 
     run(main, (1, 2))
@@ -594,17 +594,17 @@ def test_two_steps_of_one_line_at_one_instant_are_refused() -> None:
 
 @pytest.mark.parametrize("how", [HOST, wait()])
 @pytest.mark.parametrize("released", [False, True])
-def test_a_stop_before_anybody_follows_the_step_leaves_room_for_the_next(how: StartWay, released: bool) -> None:
+def test_a_stop_before_anybody_follows_the_step_leaves_room_for_the_next(how: StartOptions, released: bool) -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 2000, how)
-        await driver.verify()
+        await driver.verify_armed()
         if released:
             await driver.go()
         await driver.stop(False)
         await world.sleep(2000)
-        assert not unit.motions
+        assert not unit.commanded_motions
         _, _, outcome = await world.move(driver, 500)
         assert outcome.state == "done"
 
@@ -615,14 +615,14 @@ def test_a_step_may_follow_a_jog_that_no_poll_has_seen_end() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        lowered = driver.lower(await world.plan(driver, 500), HOST, None)
-        await driver.jog("x", JogMove(1000.0, 25_000.0, 10))
+        lowered = driver.lower_profiles(await world.plan(driver, 500), HOST, None)
+        await driver.jog_axis("x", JogMove(1000.0, 25_000.0, 10))
         await world.sleep(500)
-        await driver.raw("f+0")
-        await driver.arm(lowered, world.t0(lowered), None)
+        await driver.send_raw("f+0")
+        await driver.arm_move(lowered, world.t0(lowered), None)
         await driver.go()
-        await driver.started()
-        assert (await driver.outcome()).state == "done"
+        await driver.wait_for_start()
+        assert (await driver.wait_for_end()).state == "done"
         assert unit.position("1") == 500
 
     run(main)
@@ -641,15 +641,15 @@ def test_polls_and_settings_keep_out_of_a_program_that_is_being_loaded(seed: int
                 await driver.poll()
                 await world.sleep(draw.uniform(0, 20))
                 on = not on
-                with contextlib.suppress(CannotDo):  # a program runs
+                with contextlib.suppress(Refusal):  # a program runs
                     await driver.set_output(3, on)
 
         busy = asyncio.get_running_loop().create_task(beside())
         for target in (700, 200, 900):
-            lowered = driver.lower(dict(_profiles(unit, target)), wait(), None)
-            await driver.arm(lowered, world.t0(lowered), None)
-            await driver.verify()
-            await driver.disarm()
+            lowered = driver.lower_profiles(dict(_profiles(unit, target)), wait(), None)
+            await driver.arm_move(lowered, world.t0(lowered), None)
+            await driver.verify_armed()
+            await driver.disarm_move()
         ended = True
         await busy
 
@@ -664,11 +664,11 @@ def test_units_of_one_line_must_agree_about_the_checksum() -> None:
     async def main(world: World) -> None:
         shared = world.drivers[1]._setup.shared
         other = config(2, options={"checksum": False})
-        options = MAKE.options.model_validate(other.options)
-        setup = Setup("u2", other, options, world.clock, world.wire.open, LoopFirer(world.clock), shared)
-        with pytest.raises(DriverFault) as caught:
-            await MAKE.driver(setup).connect()
-        assert caught.value.fault.code == "config-mismatch"
-        assert "checksum" in caught.value.fault.text
+        options = MAKE.options_model.model_validate(other.options)
+        setup = DriverSetup("u2", other, options, world.clock, world.wire.open, LoopTimedWriter(world.clock), shared)
+        with pytest.raises(ControllerFault) as caught:
+            await MAKE.create_driver(setup).connect()
+        assert caught.value.code == "config-mismatch"
+        assert "checksum" in caught.value.text
 
     run(main, (1, 2))

@@ -21,7 +21,7 @@ def fleet() -> Fleet:
                 "baud": 9600,
                 "data_bits": 7,
                 "parity": "odd",
-                "unit": address,
+                "address": address,
             },
             "axes": {
                 "x": {
@@ -56,10 +56,10 @@ def test_a_bus_homes_and_starts_together_with_a_verdict_that_holds_the_truth() -
     async def main(virtual: VirtualFleet) -> None:
         prepared = await outcome(virtual, PREPARE)
         assert prepared.state == "done", prepared.reason
-        before = {name: len(each.motions) for name, each in virtual.controllers.items()}
+        before = {name: len(each.commanded_motions) for name, each in virtual.controllers.items()}
         report = await outcome(virtual, MOVE)
         assert report.state == "done", report.reason
-        starts = [each.motions[before[name]].start_ns for name, each in virtual.controllers.items()]
+        starts = [each.commanded_motions[before[name]].start_ns for name, each in virtual.controllers.items()]
         skew_ns = max(starts) - min(starts)
         assert skew_ns < 3 * NS_PER_MS
         step = report.steps[0]
@@ -79,6 +79,6 @@ def test_a_unit_that_is_switched_off_ends_the_step_of_all() -> None:
         report = await outcome(virtual, long)
         assert report.state != "done"
         await sleep_ns(virtual.clock, 5 * NS_PER_S)
-        assert not any(each.moving("1") for each in virtual.controllers.values())
+        assert not any(each.is_moving("1") for each in virtual.controllers.values())
 
     run_fleet(main, fleet())

@@ -6,9 +6,9 @@ import pytest
 from unit.adapters.restarts import sees_the_restart
 from unit.adapters.test_smc30_bench import HOST, WINDOW_NS, World, drive, run, wait
 
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
-from orchestrator.model.messages import LineWait, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerWait
 
 
 def window(lowered_terms: object) -> tuple[int, int]:
@@ -25,15 +25,15 @@ def test_a_unit_waits_for_its_line_and_starts_within_its_terms(seed: int, live: 
         lowered, t0_ns = await world.arm(driver, 6000, wait())
         assert lowered.start_class == "line"
         assert [term.name for term in lowered.terms] == ["line", "input", "firmware"]
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
         assert not (await driver.poll()).axes["x"].moving
         await sleep_until_ns(world.clock, t0_ns)
         unit.set_input(1, True)
-        span = (await driver.started())["x"]
-        outcome = await driver.outcome()
+        span = (await driver.wait_for_start())["x"]
+        outcome = await driver.wait_for_end()
         assert outcome.state == "done"
-        motion = unit.motions[0]
+        motion = unit.commanded_motions[0]
         low, high = window(lowered.terms)
         assert low <= motion.start_ns - t0_ns <= high
         assert span.earliest_ns <= motion.start_ns <= span.latest_ns
@@ -50,13 +50,13 @@ def test_a_line_that_is_active_already_is_refused() -> None:
         driver, unit = world.one
         unit.set_input(1, True)
         await world.sleep(5)
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(driver, 6000, wait())
-        assert caught.value.refusal.code == "line-level"
+        assert caught.value.code == "line-level"
         await world.sleep(2000)
-        assert not unit.motions
+        assert not unit.commanded_motions
         unit.set_input(1, False)
-        await driver.disarm()
+        await driver.disarm_move()
         await world.arm(driver, 6000, wait())
 
     run(main)
@@ -66,9 +66,9 @@ def test_an_input_that_is_active_low_is_waited_for_as_such() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        with pytest.raises(CannotDo) as caught:
+        with pytest.raises(Refusal) as caught:
             await world.arm(driver, 500, wait())
-        assert caught.value.refusal.code == "line-level"
+        assert caught.value.code == "line-level"
         unit.set_input(1, True)
         await world.sleep(5)
         lowered, _ = await world.arm(driver, 500, wait())
@@ -86,17 +86,17 @@ def test_what_waits_is_unloaded_and_a_later_edge_moves_nothing(way: str) -> None
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify()
+        await driver.verify_armed()
         if way == "disarm":
-            await driver.disarm()
+            await driver.disarm_move()
         else:
             await driver.stop(way == "abort")
-            await driver.disarm()
+            await driver.disarm_move()
         unit.set_input(1, True)
         await world.sleep(3000)
-        assert not unit.motions
+        assert not unit.commanded_motions
         reading = await driver.poll()
-        assert not reading.axes["x"].lost  # it had not moved
+        assert not reading.axes["x"].position_lost  # it had not moved
         unit.set_input(1, False)
         _, _, outcome = await world.move(driver, 800)
         assert outcome.state == "done"
@@ -109,16 +109,16 @@ def test_a_unit_that_is_restarted_while_it_is_armed_does_not_wait_for_its_line(a
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        lowered = driver.lower(await world.plan(driver, 6000), wait(), None)
-        arming = asyncio.ensure_future(driver.arm(lowered, world.t0(lowered), None))
+        lowered = driver.lower_profiles(await world.plan(driver, 6000), wait(), None)
+        arming = asyncio.ensure_future(driver.arm_move(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
         await world.power_cycle(unit, 100)
-        with pytest.raises((CannotDo, DriverFault)):
+        with pytest.raises((Refusal, ControllerFault)):
             await arming
         await sees_the_restart(driver)
         unit.set_input(1, True)
         await world.sleep(3000)
-        assert not unit.motions
+        assert not unit.commanded_motions
 
     run(main)
 
@@ -128,15 +128,15 @@ def test_a_line_that_never_comes_is_said_and_nothing_is_left_waiting() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        assert not (await driver.started())["x"].seen
-        outcome = await driver.outcome()
+        assert not (await driver.wait_for_start())["x"].seen
+        outcome = await driver.wait_for_end()
         assert outcome.state == "fault"
         assert "go" in outcome.reason
         unit.set_input(1, True)
         await world.sleep(3000)
-        assert not unit.motions
+        assert not unit.commanded_motions
 
     run(main)
 
@@ -147,14 +147,14 @@ def test_power_lost_and_back_before_the_line_is_no_start_where_the_target_is_whe
         driver, unit = world.one
         await world.move(driver, 500)
         _, t0_ns = await world.arm(driver, 0, wait())
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
         await world.power_cycle(unit, 40)
-        with pytest.raises(DriverFault) as caught:
-            await driver.started()
-        assert caught.value.fault.code == "not-started"
-        assert len(unit.motions) == 1
+        with pytest.raises(ControllerFault) as caught:
+            await driver.wait_for_start()
+        assert caught.value.code == "not-started"
+        assert len(unit.commanded_motions) == 1
 
     run(main)
 
@@ -166,9 +166,9 @@ def test_a_waiting_unit_that_was_switched_off_is_not_promised() -> None:
         await world.arm(driver, 6000, wait())
         await world.power_cycle(unit, 200)
         await world.sleep(200)
-        with pytest.raises(CannotDo) as caught:
-            await driver.verify()
-        assert caught.value.refusal.code == "not-armed"
+        with pytest.raises(Refusal) as caught:
+            await driver.verify_armed()
+        assert caught.value.code == "not-armed"
 
     run(main)
 
@@ -182,14 +182,14 @@ def test_the_driven_line_is_active_at_t0_and_passive_again(seed: int, moves: boo
         edges: list[tuple[int, bool]] = []
         unit.on_output(lambda number, level: edges.append((world.clock.now_ns(), level)) if number == 2 else None)
         profiles = await world.plan(driver, 400) if moves else {}
-        lowered = driver.lower(profiles, drive(300), None)
+        lowered = driver.lower_profiles(profiles, drive(300), None)
         t0_ns = world.t0(lowered)
-        await driver.arm(lowered, t0_ns, None)
-        await driver.verify()
+        await driver.arm_move(lowered, t0_ns, None)
+        await driver.verify_armed()
         await driver.go()
-        spans = await driver.started()
+        spans = await driver.wait_for_start()
         assert set(spans) == set(profiles)
-        assert (await driver.outcome()).state == "done"
+        assert (await driver.wait_for_end()).state == "done"
         (on_ns, on), (off_ns, off) = edges
         assert (on, off) == (True, False)
         low, high = window(lowered.edge)
@@ -197,8 +197,8 @@ def test_the_driven_line_is_active_at_t0_and_passive_again(seed: int, moves: boo
         assert 290 * NS_PER_MS <= off_ns - on_ns <= 320 * NS_PER_MS
         if moves:
             low, high = window(lowered.terms)
-            assert low <= unit.motions[0].start_ns - t0_ns <= high
-            assert spans["x"].earliest_ns <= unit.motions[0].start_ns <= spans["x"].latest_ns
+            assert low <= unit.commanded_motions[0].start_ns - t0_ns <= high
+            assert spans["x"].earliest_ns <= unit.commanded_motions[0].start_ns <= spans["x"].latest_ns
 
     run(main, seed=seed)
 
@@ -210,15 +210,15 @@ def test_a_stop_leaves_the_driven_line_passive(abort: bool, moves: bool) -> None
         await world.ready()
         driver, unit = world.one
         profiles = await world.plan(driver, 20_000) if moves else {}
-        lowered = driver.lower(profiles, drive(3000), None)
+        lowered = driver.lower_profiles(profiles, drive(3000), None)
         t0_ns = world.t0(lowered)
-        await driver.arm(lowered, t0_ns, None)
+        await driver.arm_move(lowered, t0_ns, None)
         await driver.go()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
-        assert unit.output(2)
+        assert unit.output_level(2)
         await driver.stop(abort)
         await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
-        assert not unit.output(2)
+        assert not unit.output_level(2)
         assert unit.at_rest()
 
     run(main)
@@ -228,17 +228,17 @@ def test_nothing_is_driven_without_go_and_an_active_line_is_refused() -> None:
     async def main(world: World) -> None:
         await world.ready()
         driver, unit = world.one
-        lowered = driver.lower({}, drive(), None)
+        lowered = driver.lower_profiles({}, drive(), None)
         t0_ns = world.t0(lowered)
-        await driver.arm(lowered, t0_ns, None)
-        await driver.verify()
+        await driver.arm_move(lowered, t0_ns, None)
+        await driver.verify_armed()
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert not unit.output(2)
-        await driver.disarm()
+        assert not unit.output_level(2)
+        await driver.disarm_move()
         await driver.set_output(2, True)
-        with pytest.raises(CannotDo) as caught:
-            await driver.arm(lowered, world.t0(lowered), None)
-        assert caught.value.refusal.code == "line-level"
+        with pytest.raises(Refusal) as caught:
+            await driver.arm_move(lowered, world.t0(lowered), None)
+        assert caught.value.code == "line-level"
 
     run(main)
 
@@ -253,18 +253,18 @@ def test_one_unit_of_a_bus_drives_the_line_that_the_others_wait_for() -> None:
             )
         ways = {first: drive(), **dict.fromkeys(others, wait())}
         lowered = {
-            each: driver.lower(await world.plan(driver, 3000) if each != first else {}, ways[each], None)
+            each: driver.lower_profiles(await world.plan(driver, 3000) if each != first else {}, ways[each], None)
             for each, driver in world.drivers.items()
         }
         t0_ns = world.t0(lowered[first])
         for each, driver in world.drivers.items():
-            await driver.arm(lowered[each], t0_ns, None)
-        await asyncio.gather(*(driver.verify() for driver in world.drivers.values()))
+            await driver.arm_move(lowered[each], t0_ns, None)
+        await asyncio.gather(*(driver.verify_armed() for driver in world.drivers.values()))
         await asyncio.gather(*(driver.go() for driver in world.drivers.values()))
-        await asyncio.gather(*(driver.started() for driver in world.drivers.values()))
-        outcomes = await asyncio.gather(*(driver.outcome() for driver in world.drivers.values()))
+        await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers.values()))
+        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers.values()))
         assert [outcome.state for outcome in outcomes] == ["done"] * 4
-        starts = [world.units[each].motions[0].start_ns for each in others]
+        starts = [world.units[each].commanded_motions[0].start_ns for each in others]
         assert max(starts) - min(starts) < 2 * NS_PER_MS
 
     run(main, (1, 2, 3, 7), {"input_poll_ms": 1.0})
@@ -275,17 +275,19 @@ def test_what_can_not_be_waited_for_or_driven_is_refused() -> None:
         await world.ready()
         driver, _ = world.one
         profiles = await world.plan(driver, 500)
-        both = StartWay(wait=wait().wait, drive=drive().drive)
-        for how in (wait("nothing"), StartWay(by="clock"), StartWay(by="line"), both):
-            with pytest.raises(CannotDo) as caught:
-                driver.lower(profiles, how, None)
-            assert caught.value.refusal.code == "start-class"
-            assert caught.value.refusal.remedy
+        both = StartOptions(wait=wait().wait, drive=drive().drive)
+        for how in (wait("nothing"), StartOptions(start_class="clock"), StartOptions(start_class="line"), both):
+            with pytest.raises(Refusal) as caught:
+                driver.lower_profiles(profiles, how, None)
+            assert caught.value.code == "start-class"
+            assert caught.value.remedy
         # Where the line may be is part of the budget.
-        late = LineWait(input="go", earliest_ns=0, latest_ns=NS_PER_MS)
-        lowered = driver.lower(profiles, StartWay(wait=late), None)
-        assert lowered.window_ns[1] - driver.lower(profiles, wait(), None).window_ns[1] == NS_PER_MS - WINDOW_NS
-        assert driver.lower(profiles, HOST, None).start_class == "host"
+        late = TriggerWait(input="go", earliest_ns=0, latest_ns=NS_PER_MS)
+        lowered = driver.lower_profiles(profiles, StartOptions(wait=late), None)
+        assert (
+            lowered.window_ns[1] - driver.lower_profiles(profiles, wait(), None).window_ns[1] == NS_PER_MS - WINDOW_NS
+        )
+        assert driver.lower_profiles(profiles, HOST, None).start_class == "host"
 
     run(main)
 
@@ -295,12 +297,12 @@ def test_a_waiting_unit_that_a_person_stops_is_not_started() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify()
+        await driver.verify_armed()
         await driver.go()
-        await driver.raw("K")
-        with pytest.raises(DriverFault) as caught:
-            await driver.started()
-        assert caught.value.fault.code == "not-started"
-        assert not unit.motions
+        await driver.send_raw("K")
+        with pytest.raises(ControllerFault) as caught:
+            await driver.wait_for_start()
+        assert caught.value.code == "not-started"
+        assert not unit.commanded_motions
 
     run(main)

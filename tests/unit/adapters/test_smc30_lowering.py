@@ -7,32 +7,32 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc30_bench import HOST, World, config, drive, run, wait
 
-from adapters.contract import CannotDo
 from adapters.smc30 import MAKE
-from adapters.smc30.frames import Reply, ReplyReader, checksum, line
-from adapters.smc30.lowering import DELAY_NS, slots
-from adapters.smc30.options import Options
-from adapters.smc30.ramp import allowed, fit
-from adapters.smc30.unitaxis import Bounds
+from adapters.smc30.frames import ReceivedReply, ReplyReader, frame_line, line_checksum
+from adapters.smc30.lowering import DELAY_NS, make_slot_schedule
+from adapters.smc30.options import Smc30DriverOptions
+from adapters.smc30.ramp import fit_shape, is_allowed
+from adapters.smc30.unitaxis import Smc30Bounds
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.model.errors import Refusal
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.smc30.profile import trapezoid
+from sim.smc30.profile import trapezoid_profile
 
 GAP_S = 0.002
 CHAR_NS = 10 * NS_PER_S // 9600
 
 
 def texts(reader: ReplyReader, data: bytes) -> list[str | None]:
-    return [reply.text for reply in reader.feed(data, 0)]
+    return [reply.text for reply in reader.feed_bytes(data, 0)]
 
 
 # Lines
 
 
 def test_the_manuals_own_line() -> None:
-    assert line("A3", 1, True) == b"1A3%\r"
-    assert line("A3", 1, False) == b"1A3\r"
-    assert line("E", None, True) == b"EE\r"
+    assert frame_line("A3", 1, True) == b"1A3%\r"
+    assert frame_line("A3", 1, False) == b"1A3\r"
+    assert frame_line("E", None, True) == b"EE\r"
 
 
 def test_replies_with_checksum_are_cut_wherever_the_bytes_are_parted() -> None:
@@ -44,7 +44,7 @@ def test_replies_with_checksum_are_cut_wherever_the_bytes_are_parted() -> None:
 
 
 def test_a_checksum_that_is_a_return_is_a_part_of_its_line() -> None:
-    text = next(f"V+{n}" for n in range(100_000) if checksum(f"V+{n}".encode()) == 13)
+    text = next(f"V+{n}" for n in range(100_000) if line_checksum(f"V+{n}".encode()) == 13)
     reader = ReplyReader(True)
     assert texts(reader, text.encode() + b"\r") == []
     assert texts(reader, b"\r") == [text]
@@ -58,7 +58,7 @@ def test_garbled_lines_are_known_as_such() -> None:
     assert texts(ReplyReader(False), b"V\xb25\rR\r") == [None, "R"]
     assert texts(ReplyReader(False), b"V\x015\r") == [None]
     assert texts(ReplyReader(False), b"x" * 500) == [None]
-    assert list(ReplyReader(False).feed(b"V25\r", 7)) == [Reply("V25", 7, 4)]
+    assert list(ReplyReader(False).feed_bytes(b"V25\r", 7)) == [ReceivedReply("V25", 7, 4)]
 
 
 # Numbers
@@ -66,27 +66,27 @@ def test_garbled_lines_are_known_as_such() -> None:
 
 def test_a_ramp_takes_what_its_profile_takes() -> None:
     draw = Random(3)
-    limits = Bounds(top=8000, acceleration=60_000.0, start_min=50, start_max=900)
+    limits = Smc30Bounds(top=8000, acceleration=60_000.0, start_min=50, start_max=900)
     for _ in range(300):
         steps = draw.randrange(50, 60_000)
         duration_s = steps / draw.uniform(60, 3000) + 0.3
-        shape = fit(steps, duration_s, draw.uniform(0.02, 0.2), limits, GAP_S)
+        shape = fit_shape(steps, duration_s, draw.uniform(0.02, 0.2), limits, GAP_S)
         assert shape is not None
         assert sum(part.steps for part in shape.parts) == steps
-        assert all(allowed(part, limits) for part in shape.parts)
-        by_unit = sum(trapezoid(part.steps, part.s, part.t, part.r).end_s for part in shape.parts)
+        assert all(is_allowed(part, limits) for part in shape.parts)
+        by_unit = sum(trapezoid_profile(part.steps, part.s, part.t, part.r).end_s for part in shape.parts)
         assert isclose(shape.duration_s, by_unit + GAP_S * (len(shape.parts) - 1), abs_tol=1e-9)
-        done, rate = shape.at(shape.duration_s / 2)
+        done, rate = shape.state_at(shape.duration_s / 2)
         assert 0 < done < steps
         assert rate <= limits.top
-        assert shape.at(shape.duration_s + 1) == (steps, 0.0)
+        assert shape.state_at(shape.duration_s + 1) == (steps, 0.0)
 
 
 def test_what_one_command_can_not_time_several_can() -> None:
-    limits = Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
+    limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
     for mean in (16.05, 16.3, 17.5, 21.2, 30.3):
         duration_s = 80 / mean
-        shape = fit(80, duration_s, 0.1, limits, GAP_S)
+        shape = fit_shape(80, duration_s, 0.1, limits, GAP_S)
         assert shape is not None
         assert abs(shape.duration_s - duration_s) < 0.2e-3
         # The motor starts at no more than it may start at without a ramp.
@@ -94,21 +94,21 @@ def test_what_one_command_can_not_time_several_can() -> None:
 
 
 def test_what_is_too_slow_gives_the_slowest_that_there_is() -> None:
-    limits = Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
-    shape = fit(160, 20.0, 0.1, limits, GAP_S)
+    limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
+    shape = fit_shape(160, 20.0, 0.1, limits, GAP_S)
     assert shape is not None
     assert shape.duration_s == 10.0
 
 
 def test_slots_are_whole_delays_and_long_enough() -> None:
-    options = Options()
+    options = Smc30DriverOptions()
     for baud, hold_us in ((9600, 0), (9600, 16_000), (1200, 0), (110, 0)):
         chars = 10 * NS_PER_S // baud
-        schedule = slots(options.model_copy(update={"hold_us": hold_us}), chars, 2, 7)
+        schedule = make_slot_schedule(options.model_copy(update={"hold_us": hold_us}), chars, 2, 7)
         assert schedule.each_ns % DELAY_NS == 0
         assert schedule.each_ns >= 4 * chars + hold_us * 1000
         assert schedule.delay_ns == 5 * schedule.each_ns
-    assert slots(options, CHAR_NS, 0, 7).each_ns == DELAY_NS
+    assert make_slot_schedule(options, CHAR_NS, 0, 7).each_ns == DELAY_NS
 
 
 # Programs
@@ -117,7 +117,7 @@ def test_slots_are_whole_delays_and_long_enough() -> None:
 def test_programs_of_a_bus_differ_in_their_delay_only() -> None:
     async def main(world: World) -> None:
         profiles = dict(plan_step([AxisMove("x", 0, 3000, 5000, 25_000)]).profiles)
-        lowered = [driver.lower(profiles, HOST, None) for driver in world.drivers.values()]
+        lowered = [driver.lower_profiles(profiles, HOST, None) for driver in world.drivers.values()]
         programs = [each.program for each in lowered]
         assert [program[3] for program in programs] == ["D3", "D2", "D1"]
         assert len({program[:3] + program[4:] for program in programs}) == 1
@@ -131,17 +131,17 @@ def test_the_text_of_programs() -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
         profiles = dict(plan_step([AxisMove("x", 1000, -2000, 5000, 25_000)]).stretched(1.5).profiles)
-        program = driver.lower(profiles, HOST, None).program
+        program = driver.lower_profiles(profiles, HOST, None).program
         assert [line[0] for line in program] == ["S", "T", "R", "D", "G"]
         assert program[-1] == "G-2000"
-        assert driver.lower(profiles, wait(), None).program[3:] == ("N11.19", "G-2000")
-        assert driver.lower({}, drive(100), None).program == ("S16", "T16", "R1", "D1", "A2", "D10", "C2")
+        assert driver.lower_profiles(profiles, wait(), None).program[3:] == ("N11.19", "G-2000")
+        assert driver.lower_profiles({}, drive(100), None).program == ("S16", "T16", "R1", "D1", "A2", "D10", "C2")
         # A motion longer than the line is held leaves nothing to wait for.
-        assert driver.lower(profiles, drive(100), None).program[3:] == ("D1", "A2", "G-2000", "C2")
+        assert driver.lower_profiles(profiles, drive(100), None).program[3:] == ("D1", "A2", "G-2000", "C2")
         standing = dict(plan_step([AxisMove("x", 5, 6, 5000, 25_000)]).profiles)
         standing["x"].end_counts = 5
-        assert driver.lower(standing, HOST, None).program == ()
-        assert driver.lower(standing, HOST, None).durations_s == {"x": 0.0}
+        assert driver.lower_profiles(standing, HOST, None).program == ()
+        assert driver.lower_profiles(standing, HOST, None).durations_s == {"x": 0.0}
 
     run(main)
 
@@ -150,7 +150,7 @@ def test_a_measured_rate_is_corrected() -> None:
     async def main(world: World) -> None:
         driver, _ = world.one
         profiles = dict(plan_step([AxisMove("x", 0, 20_000, 5000, 25_000)]).stretched(8.0).profiles)
-        lowered = driver.lower(profiles, HOST, None)
+        lowered = driver.lower_profiles(profiles, HOST, None)
         assert lowered.shape is not None
         # Its own seconds are shorter.
         assert isclose(lowered.shape.duration_s, lowered.durations_s["x"] * 1.0005, rel_tol=1e-9)
@@ -165,10 +165,10 @@ def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
 
         def refused(move: AxisMove, longer_s: float = 0.0) -> str:
             plan = plan_step([move])
-            with pytest.raises(CannotDo) as caught:
-                driver.lower(dict(plan.stretched(longer_s or plan.duration_s).profiles), HOST, None)
-            assert caught.value.refusal.remedy
-            return caught.value.refusal.code
+            with pytest.raises(Refusal) as caught:
+                driver.lower_profiles(dict(plan.stretched(longer_s or plan.duration_s).profiles), HOST, None)
+            assert caught.value.remedy
+            return caught.value.code
 
         assert refused(AxisMove("x", 0, 1600, 5000, 25_000), 200.0) == "too-slow"
         assert refused(AxisMove("x", 8_388_000, 8_389_000, 5000, 25_000)) == "too-far"
@@ -185,7 +185,10 @@ def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
     [
         ({"link": {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600}}, "data bits"),
         ({"link": {"kind": "serial", "device": "d", "baud": 19200, "data_bits": 7, "parity": "odd"}}, "baud"),
-        ({"link": {"kind": "serial", "device": "d", "baud": 9600, "data_bits": 7, "parity": "odd", "unit": 8}}, "unit"),
+        (
+            {"link": {"kind": "serial", "device": "d", "baud": 9600, "data_bits": 7, "parity": "odd", "address": 8}},
+            "address",
+        ),
         ({"link": {"kind": "udp", "host": "h", "port": 1}}, "link.kind"),
         ({"axis": {"motors": ["2"]}}, "motors"),
         ({"axis": {"homing": {"method": "index"}}}, "homing.method"),
@@ -198,11 +201,11 @@ def test_what_the_unit_can_not_do_is_refused_with_what_would_fit() -> None:
 )
 def test_what_the_fleet_file_says_wrong_is_named(more: dict[str, Any], place: str) -> None:
     with pytest.raises(ValueError, match=place):
-        MAKE.check(config(**more))
+        MAKE.check_config(config(**more))
 
 
 def test_a_move_of_less_than_a_step_a_second_is_made_as_slowly_as_the_unit_can() -> None:
-    limits = Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
-    shape = fit(2, 30.0, 0.1, limits, 0.05)
+    limits = Smc30Bounds(top=5000, acceleration=20_000.0, start_min=16, start_max=200)
+    shape = fit_shape(2, 30.0, 0.1, limits, 0.05)
     assert shape is not None
-    assert all(allowed(ramp, limits) for ramp in shape.parts)
+    assert all(is_allowed(ramp, limits) for ramp in shape.parts)

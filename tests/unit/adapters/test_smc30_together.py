@@ -8,35 +8,38 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc30_bench import HOST, World, run, wait
 
-from adapters.contract import CannotDo, DriverFault, JogMove, Outcome
-from adapters.smc30.driver import SmcDriver
+from adapters.contract import JogMove, MoveOutcome
+from adapters.smc30.driver import Smc30Driver
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_until_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 
 ALL = range(1, 8)
 TARGET = 4000
 
 
-async def follow(driver: SmcDriver) -> Outcome | None:
+async def follow(driver: Smc30Driver) -> MoveOutcome | None:
     """What a member does after its go; None: it has not started."""
     try:
-        await driver.started()
-        return await driver.outcome()
-    except (DriverFault, CannotDo):
+        await driver.wait_for_start()
+        return await driver.wait_for_end()
+    except (ControllerFault, Refusal):
         return None
 
 
 async def released(world: World) -> int:
     """All armed, promised and released; T0."""
     drivers = list(world.drivers.values())
-    lowered = [driver.lower(await world.plan(driver, TARGET), HOST, None) for driver in drivers]
+    lowered = [driver.lower_profiles(await world.plan(driver, TARGET), HOST, None) for driver in drivers]
     t0_ns = world.t0(lowered[0]) + sum(each.costs.arm_ns for each in lowered[1:])
-    await asyncio.gather(*(driver.arm(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True)))
-    await asyncio.gather(*(driver.verify() for driver in drivers))
+    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True)))
+    await asyncio.gather(*(driver.verify_armed() for driver in drivers))
     await asyncio.gather(*(driver.go() for driver in drivers))
     return t0_ns
 
 
-async def followed(world: World, stopping: list[SmcDriver], at_ns: int, abort: bool) -> Mapping[int | None, Outcome]:
+async def followed(
+    world: World, stopping: list[Smc30Driver], at_ns: int, abort: bool
+) -> Mapping[int | None, MoveOutcome]:
     """Some are stopped at that instant; what has become of those that have started."""
     following = {each: asyncio.get_running_loop().create_task(follow(driver)) for each, driver in world.drivers.items()}
     await sleep_until_ns(world.clock, at_ns)
@@ -102,9 +105,9 @@ def test_answers_that_the_host_hears_late_are_not_mistaken_for_each_other(seed: 
         await released(world)
         # More than from one slot to the next.
         world.wire.model = replace(world.wire.model, hold_ns=14 * NS_PER_MS)
-        started = await asyncio.gather(*(driver.started() for driver in world.drivers.values()))
+        started = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers.values()))
         for each, span in zip(world.drivers, started, strict=True):
-            assert span["x"].earliest_ns <= world.units[each].motions[0].start_ns <= span["x"].latest_ns
+            assert span["x"].earliest_ns <= world.units[each].commanded_motions[0].start_ns <= span["x"].latest_ns
 
     run(main, ALL, seed=seed)
 
@@ -112,18 +115,20 @@ def test_answers_that_the_host_hears_late_are_not_mistaken_for_each_other(seed: 
 def test_seven_that_jog_are_stopped_together() -> None:
     async def main(world: World) -> None:
         await world.ready()
-        await asyncio.gather(*(driver.jog("x", JogMove(3000.0, 25_000.0, None)) for driver in world.drivers.values()))
+        await asyncio.gather(
+            *(driver.jog_axis("x", JogMove(3000.0, 25_000.0, None)) for driver in world.drivers.values())
+        )
         await world.sleep(20)
-        assert all(unit.moving("1") for unit in world.units.values())
+        assert all(unit.is_moving("1") for unit in world.units.values())
         began_ns = world.clock.now_ns()
         for driver in world.drivers.values():
             await driver.stop(False)
-        while any(unit.moving("1") for unit in world.units.values()):
+        while any(unit.is_moving("1") for unit in world.units.values()):
             await world.sleep(1)
         # The lines of all, and the ramp.
         assert world.clock.now_ns() - began_ns < 220 * NS_PER_MS
         for driver in world.drivers.values():
-            assert not (await driver.poll()).axes["x"].lost
+            assert not (await driver.poll()).axes["x"].position_lost
 
     run(main, ALL)
 
@@ -137,16 +142,16 @@ def test_a_unit_of_a_busy_line_that_is_restarted_before_it_moves_by_hand_does_no
         await world.ready()
         driver, unit = world.drivers[3], world.units[3]
 
-        async def polled(other: SmcDriver) -> None:
+        async def polled(other: Smc30Driver) -> None:
             while True:
                 await other.poll()
 
         loop = asyncio.get_running_loop()
         others = [loop.create_task(polled(each)) for address, each in world.drivers.items() if address != 3]
         if act == "jog":
-            doing: Coroutine[Any, Any, object] = driver.jog("x", JogMove(-1000.0, 25_000.0, None))
+            doing: Coroutine[Any, Any, object] = driver.jog_axis("x", JogMove(-1000.0, 25_000.0, None))
         else:
-            doing = driver.home(["x"], lambda _: None)
+            doing = driver.home_axes(["x"], lambda _: None)
         assert not await world.begun_by_restarted(unit, doing, after_ms, 2000)
         for other in others:
             other.cancel()
@@ -159,21 +164,21 @@ def test_a_line_starts_some_while_slots_start_the_others() -> None:
         await world.ready()
         ways = {each: wait() if (each or 0) % 2 else HOST for each in world.drivers}
         lowered = {
-            each: driver.lower(await world.plan(driver, 500), ways[each], None)
+            each: driver.lower_profiles(await world.plan(driver, 500), ways[each], None)
             for each, driver in world.drivers.items()
         }
         t0_ns = world.t0(lowered[1]) + sum(each.costs.arm_ns for each in lowered.values())
         drivers = world.drivers
-        await asyncio.gather(*(driver.arm(lowered[each], t0_ns, None) for each, driver in drivers.items()))
-        await asyncio.gather(*(driver.verify() for driver in drivers.values()))
+        await asyncio.gather(*(driver.arm_move(lowered[each], t0_ns, None) for each, driver in drivers.items()))
+        await asyncio.gather(*(driver.verify_armed() for driver in drivers.values()))
         await asyncio.gather(*(driver.go() for driver in drivers.values()))
         await sleep_until_ns(world.clock, t0_ns)
         for unit in world.units.values():
             unit.set_input(1, True)
-        started = await asyncio.gather(*(driver.started() for driver in drivers.values()))
+        started = await asyncio.gather(*(driver.wait_for_start() for driver in drivers.values()))
         for each, span in zip(drivers, started, strict=True):
-            assert span["x"].earliest_ns <= world.units[each].motions[0].start_ns <= span["x"].latest_ns
-        outcomes = await asyncio.gather(*(driver.outcome() for driver in drivers.values()))
+            assert span["x"].earliest_ns <= world.units[each].commanded_motions[0].start_ns <= span["x"].latest_ns
+        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in drivers.values()))
         assert {outcome.state for outcome in outcomes} == {"done"}
         assert world.clock.now_ns() - t0_ns < 5 * NS_PER_S
 

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from adapters.contract import Driver, Setup
-from adapters.toolkit.firing import LoopFirer
-from adapters.yaskawa.common.options import Options
+from adapters.contract import Driver, DriverSetup
+from adapters.toolkit.firing import LoopTimedWriter
+from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.smc4000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.virtual import run_virtual
 from orchestrator.link.memory import LAN, MemoryWire
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from sim.core.controller import SimulatedController, Timing
+from sim.core.controller import FirmwareTiming, SimulatedController
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC4000
 
@@ -52,21 +52,21 @@ class World:
     async def ready(self, polls: int = 30) -> None:
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.enable(["x", "y"], True)
+        await self.driver.set_enabled(["x", "y"], True)
         for _ in range(polls):
             await self.driver.poll()
             await sleep_ns(self.clock, 100 * NS_PER_MS)
 
     async def moved(self, profiles: dict[str, Profile], lead_s: float = 0.5) -> tuple[Any, Any, Any, int]:
         """One step, from lowering to its outcome."""
-        driver, mapping = self.driver, self.driver.mapping()
+        driver, mapping = self.driver, self.driver.clock_mapping()
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
-        lowered = driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
-        await driver.arm(lowered, t0_ns, mapping)
-        await driver.verify()
+        lowered = driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
+        await driver.arm_move(lowered, t0_ns, mapping)
+        await driver.verify_armed()
         await driver.go()
-        started = await driver.started()
-        outcome = await driver.outcome()
+        started = await driver.wait_for_start()
+        outcome = await driver.wait_for_end()
         return lowered, started, outcome, t0_ns
 
 
@@ -81,15 +81,15 @@ def run(
 ) -> Any:
     async def within(clock: Clock) -> Any:
         config = Controller.model_validate(fleet or FLEET)
-        MAKE.check(config)
+        MAKE.check_config(config)
         oscillator = Oscillator(Random(seed).randrange(10**9), ppm, 0.05, seed)
-        timing = Timing(decode_ns=decode_ns, spread_ns=50_000)
-        controller = SMC4000.build(clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
+        timing = FirmwareTiming(decode_ns=decode_ns, spread_ns=50_000)
+        controller = SMC4000.build_controller(clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
         wire = MemoryWire(clock, LAN, controller, "tcp", "smc", copy_context(), seed)
 
         def driver() -> Driver:
-            chosen = Options.model_validate(config.options)
-            return MAKE.driver(Setup("c", config, chosen, clock, wire.open, LoopFirer(clock)))
+            chosen = YaskawaOptions.model_validate(config.options)
+            return MAKE.create_driver(DriverSetup("c", config, chosen, clock, wire.open, LoopTimedWriter(clock)))
 
         return await main(World(clock, controller, wire, driver(), driver))
 
@@ -102,4 +102,4 @@ def trapezoid(start: int, end: int, speed: float, ramp: float, stretch: float = 
     speed = min(speed, (way * ramp) ** 0.5)
     t, hold = speed / ramp, way / speed - speed / ramp
     profile = Profile(start, end, sign * 1.0, [t, max(hold, 0.0), t], [ramp, 0.0, -ramp], [0.0, 0.0, 0.0])
-    return profile.stretched(stretch)
+    return profile.stretch_time(stretch)

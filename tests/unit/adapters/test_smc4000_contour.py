@@ -9,14 +9,15 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import JogMove
 from adapters.yaskawa.smc4000.driver import MAKE
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import AxisMove, plan_step
-from sim.core.controller import Timing
+from sim.core.controller import FirmwareTiming
 
 VELOCITY, ACCELERATION, JERK = 100_000.0, 1_000_000.0, 2e7
 MOTORS = {"x": "X", "y": "Y"}
@@ -32,22 +33,22 @@ def jerked(targets: Mapping[str, tuple[int, int]], share: float = 1.0) -> dict[s
 
 
 async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5) -> tuple[Any, int]:
-    mapping = world.driver.mapping()
+    mapping = world.driver.clock_mapping()
     assert mapping is not None
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
-    lowered = world.driver.lower(profiles, StartWay(lead_ns=t0_ns - mapping.host_at_ns), mapping)
-    await world.driver.arm(lowered, t0_ns, mapping)
+    lowered = world.driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
+    await world.driver.arm_move(lowered, t0_ns, mapping)
     return lowered, t0_ns
 
 
 async def usable(world: World) -> None:
     """Both axes move again, by registers, by hand and by contour, without anything between."""
-    mapping = world.driver.mapping()
+    mapping = world.driver.clock_mapping()
     assert mapping is not None
     for _ in range(3):
         await world.driver.poll()
     here = {axis: round(world.controller.position(motor)) for axis, motor in MOTORS.items()}
-    await world.driver.jog("x", JogMove(5_000.0, 100_000.0, None))
+    await world.driver.jog_axis("x", JogMove(5_000.0, 100_000.0, None))
     await sleep_ns(world.clock, 200 * NS_PER_MS)
     await world.driver.stop_axes(["x"])
     await sleep_ns(world.clock, 500 * NS_PER_MS)
@@ -75,27 +76,29 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
             ends = {axis: draw.randrange(-200_000, 200_000) for axis in at}
             profiles = jerked({axis: (at[axis], ends[axis]) for axis in at}, draw.uniform(0.3, 1.0))
             at = ends
-            before = len(world.controller.motions)
-            mapping = world.driver.mapping()
+            before = len(world.controller.commanded_motions)
+            mapping = world.driver.clock_mapping()
             assert mapping is not None
             lowered, t0_ns = await armed(world, profiles)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
 
             async def watch() -> tuple[Any, Any]:
-                started = await world.driver.started()
-                return started, await world.driver.outcome()
+                started = await world.driver.wait_for_start()
+                return started, await world.driver.wait_for_end()
 
             watching = asyncio.get_running_loop().create_task(watch())
             await sleep_until_ns(world.clock, t0_ns + 20 * NS_PER_MS)
             timebase = world.controller.machine.timebase  # pyright: ignore
-            start = next(m for m in world.controller.motions[before:])
+            start = next(m for m in world.controller.commanded_motions[before:])
             first = next(
-                n for n in range(timebase.sample() - 40, timebase.sample()) if timebase.true_ns(n) == start.start_ns
+                n
+                for n in range(timebase.current_sample() - 40, timebase.current_sample())
+                if timebase.true_ns(n) == start.start_ns
             )
             contour = lowered.load.contour
-            plans = {axis: profile.evaluator() for axis, profile in profiles.items()}
-            for instant in contour.instants[5:]:
+            plans = {axis: profile.make_evaluator() for axis, profile in profiles.items()}
+            for instant in contour.record_ends[5:]:
                 await sleep_until_ns(world.clock, timebase.true_ns(first + instant))
                 time_s = (mapping.host_ns(first + instant) - t0_ns) * 1e-9
                 for axis, plan in plans.items():
@@ -103,7 +106,7 @@ def test_path_and_evidence_hold_the_truth_over_random_moves_and_crystals(seed: i
                     assert abs(real - plan(time_s).position) <= 1.0
             started, outcome = await watching
             assert outcome.state == "done", outcome
-            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            motions = {motion.axis: motion for motion in world.controller.commanded_motions[before:]}
             for axis, motor in MOTORS.items():
                 motion = motions[motor]
                 assert motion.end_counts == ends[axis]
@@ -125,15 +128,15 @@ def test_the_gate_never_opened_means_no_motion():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000)}))
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(CannotDo) as late:
+        with pytest.raises(Refusal) as late:
             await world.driver.go()
-        assert late.value.refusal.code == "late"
-        with pytest.raises(DriverFault) as fault:
-            await world.driver.started()
-        assert fault.value.fault.code == "late"
+        assert late.value.code == "late"
+        with pytest.raises(ControllerFault) as fault:
+            await world.driver.wait_for_start()
+        assert fault.value.code == "late"
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
-        await world.driver.disarm()
+        assert not world.controller.commanded_motions
+        await world.driver.disarm_move()
         await usable(world)
 
     run(main)
@@ -148,15 +151,15 @@ def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
         if way == "disarm":
-            await world.driver.disarm()
-            await world.driver.disarm()
+            await world.driver.disarm_move()
+            await world.driver.disarm_move()
         elif way == "reconnect":
             await world.driver.close()
             await world.driver.connect()
         else:
             await world.other().connect()
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
-        assert before_ms < 21 or not world.controller.motions
+        assert before_ms < 21 or not world.controller.commanded_motions
         await usable(world)
 
     run(main)
@@ -176,12 +179,12 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         at = {motor: world.controller.position(motor) for motor in "XY"}
         await world.driver.stop(abort)
         await sleep_ns(world.clock, lowered.costs.stop_ns)
-        assert not any(world.controller.moving(motor) for motor in "XY")
+        assert not any(world.controller.is_moving(motor) for motor in "XY")
         for motor in "XY":
             way = abs(world.controller.position(motor) - at[motor])
             assert way <= speeds[motor] * 0.005 + (0 if abort else speeds[motor] ** 2 / 2 / ACCELERATION * 1.05) + 100
         if after_ms < -21:
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await usable(world)
 
@@ -239,8 +242,8 @@ def test_a_contour_is_played_beside_polls_without_end():
                 await world.driver.poll()
 
         polling = asyncio.get_running_loop().create_task(polls())
-        await world.driver.started()
-        outcome = await world.driver.outcome()
+        await world.driver.wait_for_start()
+        outcome = await world.driver.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
 
@@ -252,14 +255,14 @@ def test_a_stop_in_motion_is_told_as_one():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
         await world.driver.go()
-        await world.driver.started()
-        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await world.driver.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
         await world.driver.stop(False)
         outcome = await watching
         assert outcome.state == "stopped"
         assert "axis x stopped by a stop command" in outcome.reason
-        end_ns = world.controller.motions[0].end_ns
+        end_ns = world.controller.commanded_motions[0].end_ns
         assert end_ns is not None
         assert outcome.ended["x"].earliest_ns <= end_ns <= outcome.ended["x"].latest_ns
 
@@ -275,17 +278,17 @@ def test_a_move_whose_adapter_is_gone_is_stopped_by_the_controller_itself(contou
         lowered, t0_ns = await armed(world, profiles)
         assert lowered.commands[0].startswith("contour" if contour else "PA")
         await world.driver.go()
-        await world.driver.started()
-        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await world.driver.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 1500 * NS_PER_MS)
         world.wire.cut = True
         await sleep_ns(world.clock, 1000 * NS_PER_MS)
-        assert world.controller.moving("X")
+        assert world.controller.is_moving("X")
         await sleep_ns(world.clock, 400 * NS_PER_MS)
-        assert not world.controller.moving("X") and not world.controller.moving("Y")
+        assert not world.controller.is_moving("X") and not world.controller.is_moving("Y")
         assert 0 < world.controller.position("X") < 300_000
         world.wire.cut = False
-        with pytest.raises(DriverFault):
+        with pytest.raises(ControllerFault):
             await watching
         await world.driver.connect()
         await usable(world)
@@ -298,9 +301,9 @@ def test_a_watchdog_that_has_bitten_is_named():
         await world.ready()
         await armed(world, jerked({"x": (0, 400_000)}))
         await world.driver.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await sleep_ns(world.clock, 1500 * NS_PER_MS)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
         assert "watchdog" in outcome.reason
 
@@ -327,7 +330,7 @@ def test_a_contour_that_an_earlier_client_left_is_stopped_by_its_ramps_at_connec
         if not other:
             await world.driver.close()
         await (world.other() if other else world.driver).connect()
-        motion = world.controller.motions[0]
+        motion = world.controller.commanded_motions[0]
         await sleep_ns(world.clock, 500 * NS_PER_MS)
         assert motion.slowing_ns is not None and motion.end_ns is not None
         # 100,000 counts/s with 1,000,000 counts/s²
@@ -344,13 +347,13 @@ def test_a_contour_that_is_fed_too_slowly_is_a_fault(refuses: bool):
         await world.ready()
         lowered, _ = await armed(world, jerked({"x": (0, 90_000)}), 3.0)
         assert lowered.load.contour.interval == 3
-        world.controller.machine.timing = Timing(decode_ns=2_500_000)  # pyright: ignore
+        world.controller.machine.timing = FirmwareTiming(decode_ns=2_500_000)  # pyright: ignore
         await world.driver.go()
-        await world.driver.started()
-        outcome = await world.driver.outcome()
+        await world.driver.wait_for_start()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == ("stopped" if refuses else "fault"), outcome
         assert ("program had failed" if refuses else "records came too slowly") in outcome.reason
-        world.controller.machine.timing = Timing(decode_ns=500_000)  # pyright: ignore
+        world.controller.machine.timing = FirmwareTiming(decode_ns=500_000)  # pyright: ignore
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await usable(world)
 
@@ -362,14 +365,14 @@ def test_a_limit_switch_in_a_contour_is_a_fault_of_its_axis():
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 90_000)}))
         await world.driver.go()
-        await world.driver.started()
-        watching = asyncio.get_running_loop().create_task(world.driver.outcome())
+        await world.driver.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         world.controller.set_limit("X", "forward")
         outcome = await watching
         assert outcome.state == "fault"
         assert "axis x stopped by the forward limit switch" in outcome.reason
-        assert not world.controller.moving("Y")
+        assert not world.controller.is_moving("Y")
 
     run(main)
 
@@ -384,9 +387,9 @@ def test_a_power_cycle_leaves_nothing_of_a_contour():
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         world.controller.set_power(True)
         await world.driver.connect()
-        await world.driver.enable(["x", "y"], True)
+        await world.driver.set_enabled(["x", "y"], True)
         await sleep_ns(world.clock, 2 * NS_PER_S)
-        assert len(world.controller.motions) == 1
+        assert len(world.controller.commanded_motions) == 1
         await usable(world)
 
     run(main)
@@ -405,17 +408,17 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
             return data
 
         world.wire.to_far = cut
-        with pytest.raises(DriverFault):
+        with pytest.raises(ControllerFault):
             await armed(world, jerked({"x": (0, 90_000)}), 2.0)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
             for _ in range(40):
                 await world.driver.poll()
         world.wire.to_far, world.wire.cut = None, False
-        moving = bool(world.controller.motions)
+        moving = bool(world.controller.commanded_motions)
         await world.driver.connect()
         await sleep_ns(world.clock, 3 * NS_PER_S)
-        assert moving or not world.controller.motions
+        assert moving or not world.controller.commanded_motions
         await usable(world)
 
     run(main)
@@ -425,11 +428,11 @@ def test_arrays_that_do_not_hold_what_was_loaded_refuse_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"\x1a", b"7\x1a")
-        with pytest.raises(CannotDo) as refusal:
+        with pytest.raises(Refusal) as refusal:
             await armed(world, jerked({"x": (0, 90_000)}))
         world.wire.to_far = None
-        assert refusal.value.refusal.code == "read-back"
-        await world.driver.disarm()
+        assert refusal.value.code == "read-back"
+        await world.driver.disarm_move()
         await usable(world)
 
     run(main)
@@ -443,9 +446,9 @@ def test_arrays_and_number_formats_of_others_are_left_as_they_are():
         _, _, outcome, _ = await world.moved(jerked({"x": (0, 90_000)}), 1.5)
         assert outcome.state == "done"
         assert "-008.2" in await world.talk("MG _PF{F3.1}")
-        with pytest.raises(CannotDo) as refusal:
+        with pytest.raises(Refusal) as refusal:
             await armed(world, jerked({"x": (90_000, 500_000)}))
-        assert refusal.value.refusal.code == "array-space"
+        assert refusal.value.code == "array-space"
         assert "14800" in await world.talk("LA")
 
     run(main)
@@ -466,13 +469,13 @@ def test_what_does_not_fit_says_what_would(
         await world.driver.connect()
         await world.driver.poll()
         if code is None:
-            lowered = world.driver.lower(jerked(way), StartWay(), world.driver.mapping())
+            lowered = world.driver.lower_profiles(jerked(way), StartOptions(), world.driver.clock_mapping())
             assert "records of 256 samples" in lowered.commands[0]
             return
-        with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(jerked(way), StartWay(), world.driver.mapping())
-        assert refusal.value.refusal.code == code
-        text = f"{refusal.value.refusal.text} {refusal.value.refusal.remedy}"
+        with pytest.raises(Refusal) as refusal:
+            world.driver.lower_profiles(jerked(way), StartOptions(), world.driver.clock_mapping())
+        assert refusal.value.code == code
+        text = f"{refusal.value.text} {refusal.value.remedy}"
         assert re.search(words, text), text
 
     run(main, fleet=FLEET | {"options": options})
@@ -483,11 +486,11 @@ def test_a_speed_beyond_what_a_record_can_hold_is_refused():
         await world.driver.connect()
         await world.driver.poll()
         fast = dict(plan_step([AxisMove("x", 0, 10**8, 9e6, 6e7, 1e9, order=3)]).profiles)
-        with pytest.raises(CannotDo) as refusal:
-            world.driver.lower(fast, StartWay(), world.driver.mapping())
-        assert refusal.value.refusal.code == "record-range"
-        assert "axis x" in refusal.value.refusal.text
-        assert "at most 4095" in refusal.value.refusal.remedy
+        with pytest.raises(Refusal) as refusal:
+            world.driver.lower_profiles(fast, StartOptions(), world.driver.clock_mapping())
+        assert refusal.value.code == "record-range"
+        assert "axis x" in refusal.value.text
+        assert "at most 4095" in refusal.value.remedy
 
     limits = LIMITS | {"velocity": 1e4, "acceleration": 6e4}
     axes = {"x": {"motors": ["X"], "unit": "mm", "scale": 1000, "limits": limits}}

@@ -7,11 +7,11 @@ from typing import Any, cast
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
 
-from adapters.contract import CannotDo, DriverFault
-from adapters.yaskawa.common.gate import Gate
-from adapters.yaskawa.common.options import Options
+from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
-from orchestrator.model.messages import StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
 
@@ -23,7 +23,7 @@ def test_a_step_runs_from_connect_to_its_outcome():
         profiles = {"x": trapezoid(0, 40_000, 80_000, 700_000), "y": trapezoid(0, -20_000, 40_000, 350_000)}
         lowered, started, outcome, t0_ns = await world.moved(profiles)
         assert outcome.state == "done", outcome
-        motions = {motion.axis: motion for motion in world.controller.motions}
+        motions = {motion.axis: motion for motion in world.controller.commanded_motions}
         for axis, letter in (("x", "X"), ("y", "Y")):
             motion = motions[letter]
             assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
@@ -48,10 +48,10 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
                 speed, ramp = draw.uniform(20_000, 99_000), draw.uniform(50_000, 990_000)
                 profiles[axis] = trapezoid(at[axis], end, speed, ramp, draw.uniform(1.0, 1.3))
                 at[axis] = end
-            before = len(world.controller.motions)
+            before = len(world.controller.commanded_motions)
             lowered, started, outcome, t0_ns = await world.moved(profiles)
             assert outcome.state == "done", outcome
-            motions = {motion.axis: motion for motion in world.controller.motions[before:]}
+            motions = {motion.axis: motion for motion in world.controller.commanded_motions[before:]}
             for axis, letter in (("x", "X"), ("y", "Y")):
                 motion = motions[letter]
                 assert started[axis].earliest_ns <= motion.start_ns <= started[axis].latest_ns
@@ -75,19 +75,19 @@ def test_durations_are_predicted_and_spans_hold_over_random_moves_and_drifts(see
 def test_the_gate_never_opened_means_no_motion():
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-        with pytest.raises(CannotDo) as late:
+        with pytest.raises(Refusal) as late:
             await world.driver.go()
-        assert late.value.refusal.code == "late"
-        with pytest.raises(DriverFault) as fault:
-            await world.driver.started()
-        assert fault.value.fault.code == "late"
+        assert late.value.code == "late"
+        with pytest.raises(ControllerFault) as fault:
+            await world.driver.wait_for_start()
+        assert fault.value.code == "late"
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
 
     run(main)
 
@@ -99,28 +99,32 @@ def test_a_release_at_the_last_moment_begins_in_time_or_not_at_all(period_us: in
     async def main(world: World, before_ns: int) -> None:
         cast(Any, world.controller).machine.memory.burn_period(period_us)
         await world.ready()
-        mapping = world.driver.mapping()
+        mapping = world.driver.clock_mapping()
         t0_ns = world.clock.now_ns() + NS_PER_S
-        lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(lead_ns=NS_PER_S), mapping)
-        await world.driver.arm(lowered, t0_ns, mapping)
+        lowered = world.driver.lower_profiles(
+            {"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(lead_ns=NS_PER_S), mapping
+        )
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - before_ns)
         try:
             await world.driver.go()
-        except CannotDo as refusal:
-            assert refusal.refusal.code == "late"
+        except Refusal as refusal:
+            assert refusal.code == "late"
         else:
             begun.append(True)
-            await world.driver.started()
-            (motion,) = world.controller.motions
+            await world.driver.wait_for_start()
+            (motion,) = world.controller.commanded_motions
             off_ns = motion.start_ns - t0_ns
             assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
             return
         begun.append(False)
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
 
     options = {"servo_period_us": period_us, "decode_us": decode_us + 50, "begin_max_us": 3 * decode_us}
-    release_ns = round(Gate.of(Options.model_validate(options)).release * period_us * 1000 / 1.024)
+    release_ns = round(
+        GateTiming.for_options(YaskawaOptions.model_validate(options)).release_before * period_us * 1000 / 1.024
+    )
     for k in range(-10, 40):
         late = partial(main, before_ns=release_ns - k * 400_000)
         run(late, seed=k + 20, fleet={**FLEET, "options": options}, decode_ns=1000 * decode_us)
@@ -132,10 +136,10 @@ def test_a_release_at_the_last_moment_begins_in_time_or_not_at_all(period_us: in
 def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 90_000, 900_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
         await world.driver.stop(abort)
@@ -143,7 +147,7 @@ def test_a_stop_while_armed_keeps_everything_still_or_stops_it(abort: bool, befo
         assert world.controller.at_rest()
         assert abs(world.controller.position("X")) < 100
         if before_ms >= 21:
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
 
     run(main)
 
@@ -152,14 +156,14 @@ def test_disarmed_and_reconnected_units_do_not_start():
     async def main(world: World) -> None:
         await world.ready()
         for way in ("disarm", "reconnect", "other"):
-            mapping = world.driver.mapping()
-            lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
+            mapping = world.driver.clock_mapping()
+            lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
             t0_ns = world.clock.now_ns() + NS_PER_S
-            await world.driver.arm(lowered, t0_ns, mapping)
+            await world.driver.arm_move(lowered, t0_ns, mapping)
             await world.driver.go()
             if way == "disarm":
-                await world.driver.disarm()
-                await world.driver.disarm()
+                await world.driver.disarm_move()
+                await world.driver.disarm_move()
             elif way == "reconnect":
                 await world.driver.close()
                 await world.driver.connect()
@@ -167,7 +171,7 @@ def test_disarmed_and_reconnected_units_do_not_start():
                 await world.other().connect()
             await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
             await world.driver.poll()
-            assert not world.controller.motions
+            assert not world.controller.commanded_motions
 
     run(main)
 
@@ -181,7 +185,7 @@ def test_axes_without_a_way_take_part_without_moving():
             assert outcome.state == "done"
             assert set(started) == set(outcome.ended) == set(profiles)
             assert lowered.durations_s["y"] == 0
-        assert {motion.axis for motion in world.controller.motions} == {"X"}
+        assert {motion.axis for motion in world.controller.commanded_motions} == {"X"}
 
     run(main)
 
@@ -192,7 +196,7 @@ def test_minutes_of_polls_are_seconds_of_work():
         for _ in range(6000):  # far more than the estimate keeps
             assert not (await world.driver.poll()).restarted
             await sleep_ns(world.clock, 100 * NS_PER_MS)
-        mapping = world.driver.mapping()
+        mapping = world.driver.clock_mapping()
         assert mapping is not None
         assert abs(mapping.rate_ppm + 40.0) < 20
         assert mapping.bound_ns < NS_PER_MS

@@ -5,18 +5,18 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
-from adapters.contract import CannotDo, DriverFault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
-from orchestrator.model.messages import LineDrive, StartWay
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import StartOptions, TriggerDrive
 
 
 async def armed(world: World, lead_s: float = 1.0) -> int:
     """A move of 5 mm, loaded."""
-    mapping = world.driver.mapping()
-    lowered = world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), mapping)
+    mapping = world.driver.clock_mapping()
+    lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
-    await world.driver.arm(lowered, t0_ns, mapping)
+    await world.driver.arm_move(lowered, t0_ns, mapping)
     return t0_ns
 
 
@@ -39,11 +39,11 @@ def test_every_open_point_of_the_manual_is_worked_with(options: dict[str, Any]):
         _, _, outcome, _ = await world.moved(profiles)
         assert outcome.state == "done"
         assert (world.controller.position("X"), world.controller.position("Y")) == (5000, -3000)
-        with pytest.raises(CannotDo, match="1 Unrecognized command"):
-            await world.driver.enable(["x"], True)
-            await world.driver._device.session.tell("bg")
-        assert (await world.driver.raw("MG _RPX{F6.0}")).strip() == "005000"
-        assert "Unrecognized" in await world.driver.raw("tpx")
+        with pytest.raises(Refusal, match="1 Unrecognized command"):
+            await world.driver.set_enabled(["x"], True)
+            await world.driver._device.session.send_command("bg")
+        assert (await world.driver.send_raw("MG _RPX{F6.0}")).strip() == "005000"
+        assert "Unrecognized" in await world.driver.send_raw("tpx")
 
     run(main, options=options)
 
@@ -52,12 +52,12 @@ def test_an_input_to_begin_by_that_came_garbled_refuses_the_step():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"XLI=0", b"XLI=1")
-        with pytest.raises(CannotDo, match="XLI reads back as 1, not 0") as refusal:
+        with pytest.raises(Refusal, match="XLI reads back as 1, not 0") as refusal:
             await armed(world)
-        assert refusal.value.refusal.code == "read-back"
+        assert refusal.value.code == "read-back"
         world.wire.to_far = None
-        await world.driver.disarm()
-        assert not world.controller.motions
+        await world.driver.disarm_move()
+        assert not world.controller.commanded_motions
 
     run(main)
 
@@ -75,19 +75,19 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
             return data
 
         world.wire.to_far = cut
-        with pytest.raises((DriverFault, LinkClosed)) as fault:
+        with pytest.raises((ControllerFault, LinkClosed)) as fault:
             await armed(world, 1.4)
-            await world.driver.verify()
+            await world.driver.verify_armed()
             await world.driver.go()
             for _ in range(30):
                 await world.driver.poll()
-        if isinstance(fault.value, DriverFault):
-            assert fault.value.fault.code == "no-answer"
+        if isinstance(fault.value, ControllerFault):
+            assert fault.value.code == "no-answer"
         world.wire.to_far, world.wire.cut = None, False
-        moving = bool(world.controller.motions)
+        moving = bool(world.controller.commanded_motions)
         await world.driver.connect()
         await sleep_ns(world.clock, 3 * NS_PER_S)
-        assert moving or not world.controller.motions
+        assert moving or not world.controller.commanded_motions
 
     run(main)
 
@@ -97,10 +97,10 @@ def test_noise_is_a_fault_that_says_what_was_expected(noise: bytes):
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_near = lambda data: noise
-        with pytest.raises(DriverFault) as fault:
+        with pytest.raises(ControllerFault) as fault:
             await world.driver.poll()
-        assert fault.value.fault.code in ("garbage", "no-answer")
-        assert "QR" in fault.value.fault.text
+        assert fault.value.code in ("garbage", "no-answer")
+        assert "QR" in fault.value.text
         world.wire.to_near = None
         await world.driver.poll()
 
@@ -111,11 +111,11 @@ def test_a_lost_reply_does_not_shift_the_next_ones():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_near = lambda data: b""
-        with pytest.raises(DriverFault) as fault:
-            await world.driver.raw("MG _RPX")
-        assert fault.value.fault.code == "no-answer"
+        with pytest.raises(ControllerFault) as fault:
+            await world.driver.send_raw("MG _RPX")
+        assert fault.value.code == "no-answer"
         world.wire.to_near = None
-        assert float(await world.driver.raw("MG 123")) == 123
+        assert float(await world.driver.send_raw("MG 123")) == 123
         for _ in range(3):
             assert not (await world.driver.poll()).restarted
 
@@ -129,7 +129,7 @@ def test_unsolicited_text_between_replies_is_kept_apart():
         world.wire.to_near = lambda data: printed + data
         reading = await world.driver.poll()
         assert reading.axes["x"].commanded_counts == 0
-        await world.driver.enable(["x"], False)
+        await world.driver.set_enabled(["x"], False)
         assert not (await world.driver.poll()).axes["x"].enabled
 
     run(main)
@@ -161,7 +161,7 @@ def test_a_power_cycle_is_told_from_a_broken_cable():
                 await sleep_ns(world.clock, 5 * NS_PER_S)
                 world.controller.set_power(True)
                 await sleep_ns(world.clock, 5 * NS_PER_S)
-            with pytest.raises((LinkClosed, LinkRefused, DriverFault)):
+            with pytest.raises((LinkClosed, LinkRefused, ControllerFault)):
                 if not power:
                     world.wire.cut = True
                 for _ in range(3):
@@ -182,9 +182,9 @@ def test_another_program_is_not_destroyed_while_it_runs():
             link.write(line)
             await sleep_ns(world.clock, 100 * NS_PER_MS)
         await world.talk("XQ #LOOP,3")
-        with pytest.raises(DriverFault, match="thread 3") as fault:
+        with pytest.raises(ControllerFault, match="thread 3") as fault:
             await world.driver.connect()
-        assert fault.value.fault.code == "other-program"
+        assert fault.value.code == "other-program"
         await world.talk("HX3")
         await world.driver.connect()
         await world.driver.poll()
@@ -198,7 +198,7 @@ def test_a_program_that_may_not_be_replaced_stays():
         link.write(b"DL\r")
         link.write(b"#MINE;EN\r\x1a")
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        with pytest.raises(DriverFault, match="1 lines"):
+        with pytest.raises(ControllerFault, match="1 lines"):
             await world.driver.connect()
         assert "#MINE" in await world.talk("LS")
 
@@ -211,12 +211,12 @@ def test_soft_limits_are_loaded_and_end_a_move_as_a_fault():
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.load_limits({"x": None})
+        await world.driver.load_soft_limits({"x": None})
         assert "-2147483648" in await world.talk("MG _BLX{F10.0}")
-        await world.driver.load_limits({"x": (-4000, 9000)})
+        await world.driver.load_soft_limits({"x": (-4000, 9000)})
         assert "9000" in await world.talk("MG _FLX{F10.0}")
         assert "-0000004000" in await world.talk("MG _BLX{F10.0}")
-        await world.driver.enable(["x"], True)
+        await world.driver.set_enabled(["x"], True)
         await world.driver.poll()
         _, _, outcome, _ = await world.moved({"x": trapezoid(0, 50_000, 20_000, 200_000)})
         assert outcome.state == "fault"
@@ -230,9 +230,9 @@ def test_settings_that_must_not_be_changed_are_refused(line: str, words: str):
     async def main(world: World) -> None:
         await world.talk(line)
         await world.driver.connect()
-        with pytest.raises(DriverFault, match=words) as fault:
+        with pytest.raises(ControllerFault, match=words) as fault:
             await world.driver.configure()
-        assert fault.value.fault.code == "config-mismatch"
+        assert fault.value.code == "config-mismatch"
 
     run(main)
 
@@ -258,17 +258,17 @@ def test_limit_switches_are_seen_whatever_their_polarity():
 def test_a_stop_on_the_way_is_told_as_one_and_takes_no_longer_than_declared(ramp: int):
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, ramp)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, ramp)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
-        await world.driver.started()
+        await world.driver.wait_for_start()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         await world.driver.stop(False)
-        outcome = await world.driver.outcome()
+        outcome = await world.driver.wait_for_end()
         assert outcome.state == "stopped"
-        motion = world.controller.motions[-1]
+        motion = world.controller.commanded_motions[-1]
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
         assert motion.end_ns - (t0_ns + 300 * NS_PER_MS) < lowered.costs.stop_ns
 
@@ -283,7 +283,7 @@ def test_outputs_inputs_and_homing():
         reading = await world.driver.poll()
         assert reading.outputs[3] and not reading.outputs[2]
         assert not reading.inputs[2] and reading.inputs[1]
-        await world.driver.home(["x"], lambda _: None)
+        await world.driver.home_axes(["x"], lambda _: None)
         reading = await world.driver.poll()
         assert reading.axes["x"].commanded_counts == 0
         assert not reading.axes["x"].moving
@@ -300,9 +300,9 @@ def test_homing_methods(method: str, options: dict[str, Any]):
     async def main(world: World) -> None:
         await world.driver.connect()
         await world.driver.configure()
-        await world.driver.enable(["x"], True)
-        await world.driver.home(["x"], lambda _: None)
-        assert world.controller.motions
+        await world.driver.set_enabled(["x"], True)
+        await world.driver.home_axes(["x"], lambda _: None)
+        assert world.controller.commanded_motions
         assert (await world.driver.poll()).axes["x"].commanded_counts == 0
 
     run(main, fleet=FLEET | {"axes": {"x": axis}}, options=options)
@@ -318,8 +318,8 @@ def test_a_moving_controller_is_connected_to_without_being_stopped():
         await driver.connect()
         await driver.configure()
         assert (await driver.poll()).axes["x"].moving
-        with pytest.raises(CannotDo, match="while running"):
-            await driver.enable(["x"], False)
+        with pytest.raises(Refusal, match="while running"):
+            await driver.set_enabled(["x"], False)
         await sleep_ns(world.clock, 4 * NS_PER_S)
         assert world.controller.position("X") == 60_000
 
@@ -328,30 +328,30 @@ def test_a_moving_controller_is_connected_to_without_being_stopped():
 
 def test_refusals_before_anything_moves():
     async def main(world: World) -> None:
-        with pytest.raises(CannotDo) as refusal:
-            world.driver.lower({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartWay(), None)
-        assert refusal.value.refusal.code == "no-clock"
+        with pytest.raises(Refusal) as refusal:
+            world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), None)
+        assert refusal.value.code == "no-clock"
         await world.ready()
-        mapping = world.driver.mapping()
+        mapping = world.driver.clock_mapping()
         for code, profile, start in (
-            ("start-class", trapezoid(0, 5000, 20_000, 200_000), StartWay(by="host")),
-            ("too-far", trapezoid(0, 2**31, 20_000, 200_000), StartWay()),
+            ("start-class", trapezoid(0, 5000, 20_000, 200_000), StartOptions(start_class="host")),
+            ("too-far", trapezoid(0, 2**31, 20_000, 200_000), StartOptions()),
         ):
-            with pytest.raises(CannotDo) as refusal:
-                world.driver.lower({"x": profile}, start, mapping)
-            assert refusal.value.refusal.code == code
-        await world.driver.enable(["x"], False)
-        with pytest.raises(CannotDo) as refusal:
+            with pytest.raises(Refusal) as refusal:
+                world.driver.lower_profiles({"x": profile}, start, mapping)
+            assert refusal.value.code == code
+        await world.driver.set_enabled(["x"], False)
+        with pytest.raises(Refusal) as refusal:
             await armed(world)
-        assert refusal.value.refusal.code == "not-enabled"
-        await world.driver.enable(["x"], True)
-        with pytest.raises(CannotDo) as refusal:
+        assert refusal.value.code == "not-enabled"
+        await world.driver.set_enabled(["x"], True)
+        with pytest.raises(Refusal) as refusal:
             await armed(world, 0.02)
-        assert refusal.value.refusal.code == "late"
+        assert refusal.value.code == "late"
         await world.talk("DP 77")
-        with pytest.raises(CannotDo) as refusal:
+        with pytest.raises(Refusal) as refusal:
             await armed(world)
-        assert refusal.value.refusal.code == "other-start"
+        assert refusal.value.code == "other-start"
 
     run(main)
 
@@ -362,15 +362,15 @@ def test_a_stop_that_is_still_to_be_carried_out_halts_no_step_that_is_loaded_aft
         driver, controller = world.driver, world.controller
         edges: list[tuple[int, bool]] = []
         controller.on_output(lambda number, on: edges.append((number, on)))
-        way = StartWay(drive=LineDrive(output="start", hold_ns=50 * NS_PER_MS))
+        way = StartOptions(drive=TriggerDrive(output="start", active_ns=50 * NS_PER_MS))
         for abort in (False, True):
             edges.clear()
             for _ in range(4):  # of several people: each command takes its half millisecond
                 await driver.stop(abort)
-            await driver.disarm()
+            await driver.disarm_move()
             t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
-            await driver.arm(driver.lower({}, way, driver.mapping()), t0_ns, driver.mapping())
-            await driver.verify()
+            await driver.arm_move(driver.lower_profiles({}, way, driver.clock_mapping()), t0_ns, driver.clock_mapping())
+            await driver.verify_armed()
             await driver.go()
             await sleep_until_ns(world.clock, t0_ns + 200 * NS_PER_MS)
             assert edges == [(1, True), (1, False)]

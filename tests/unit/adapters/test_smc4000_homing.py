@@ -8,16 +8,17 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 from unit.adapters.watching import at_rest, not_found
 
-from adapters.contract import CannotDo, DriverFault, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import ControllerFault, Refusal
 
 BOTH = {"home_edge": {"X": 3000, "Y": 5000}, "index_every": {"X": 2000, "Y": 2000}}
 
 
-async def homed(world: World, *axes: str) -> Mapping[str, CannotDo]:
+async def homed(world: World, *axes: str) -> Mapping[str, Refusal]:
     """Home, and see that what is said to be found and what has failed are all."""
     found: list[str] = []
-    failed = await world.driver.home(axes or ("x", "y"), found.append)
+    failed = await world.driver.home_axes(axes or ("x", "y"), found.append)
     assert sorted([*found, *failed]) == sorted(axes or ("x", "y"))
     return failed
 
@@ -25,12 +26,12 @@ async def homed(world: World, *axes: str) -> Mapping[str, CannotDo]:
 def test_axes_home_at_once_and_the_rest_is_done_though_one_fails():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.enable(["x"], False)
+        await world.driver.set_enabled(["x"], False)
         failed = await homed(world)
-        assert {axis: error.refusal.code for axis, error in failed.items()} == {"x": "not-enabled"}
+        assert {axis: error.code for axis, error in failed.items()} == {"x": "not-enabled"}
         assert (await world.driver.poll()).axes["y"].commanded_counts == 0
-        assert {motion.axis for motion in world.controller.motions} == {"Y"}
-        with pytest.raises(CannotDo, match="axis x is not enabled"):
+        assert {motion.axis for motion in world.controller.commanded_motions} == {"Y"}
+        with pytest.raises(Refusal, match="axis x is not enabled"):
             await homed(world, "x")
 
     run(main, options=BOTH)
@@ -40,8 +41,8 @@ def test_each_axis_is_told_as_soon_as_it_is_there():
     async def main(world: World) -> None:
         await world.ready()
         told_ns: dict[str, int] = {}
-        await world.driver.home(["x", "y"], lambda axis: told_ns.update({axis: world.clock.now_ns()}))
-        for motion in world.controller.motions:
+        await world.driver.home_axes(["x", "y"], lambda axis: told_ns.update({axis: world.clock.now_ns()}))
+        for motion in world.controller.commanded_motions:
             assert motion.end_ns is not None
             assert 0 < told_ns[motion.axis.lower()] - motion.end_ns < 60 * NS_PER_MS
         assert abs(told_ns["y"] - told_ns["x"]) > 100 * NS_PER_MS
@@ -75,10 +76,10 @@ def test_a_switch_that_never_comes_ends_on_the_limit_switch(method: str):
         assert "limit" in str(failed["x"])
         assert (await world.driver.poll()).axes["x"].limit != "none"
         assert (await world.driver.poll()).axes["y"].commanded_counts == 0
-        with pytest.raises(CannotDo, match="Limit Switch"):
+        with pytest.raises(Refusal, match="Limit Switch"):
             await homed(world, "x")
         back = -1 if (await world.driver.poll()).axes["x"].limit == "forward" else 1
-        await world.driver.jog("x", JogMove(back * 10_000.0, 100_000.0, None))
+        await world.driver.jog_axis("x", JogMove(back * 10_000.0, 100_000.0, None))
         await sleep_ns(world.clock, 300 * NS_PER_MS)
         await world.driver.stop_axes(["x"])
         assert (await world.driver.poll()).axes["x"].limit == "none"
@@ -89,13 +90,13 @@ def test_a_switch_that_never_comes_ends_on_the_limit_switch(method: str):
 def test_native_limits_hold_a_search_until_they_are_opened():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.load_limits({"x": (-500, 500)})
+        await world.driver.load_soft_limits({"x": (-500, 500)})
         failed = await homed(world, "x")
         assert "limit" in str(failed["x"])
-        await world.driver.load_limits({"x": None})
+        await world.driver.load_soft_limits({"x": None})
         assert not await homed(world, "x")
-        await world.driver.load_limits({"x": (-500, 500)})
-        await world.driver.jog("x", JogMove(5000.0, 100_000.0, 500))
+        await world.driver.load_soft_limits({"x": (-500, 500)})
+        await world.driver.jog_axis("x", JogMove(5000.0, 100_000.0, 500))
         await at_rest(world.clock, world.controller, "X", NS_PER_S)
         assert world.controller.position("X") == 500
 
@@ -106,9 +107,9 @@ def test_limits_that_are_not_held_are_a_fault():
     async def main(world: World) -> None:
         await world.ready()
         world.wire.to_far = lambda data: data.replace(b"FLX=900", b"FLX=800")
-        with pytest.raises(DriverFault, match="FLX is 800, wanted 900") as fault:
-            await world.driver.load_limits({"x": (-900, 900)})
-        assert fault.value.fault.code == "config-mismatch"
+        with pytest.raises(ControllerFault, match="FLX is 800, wanted 900") as fault:
+            await world.driver.load_soft_limits({"x": (-900, 900)})
+        assert fault.value.code == "config-mismatch"
 
     run(main)
 
@@ -124,7 +125,7 @@ def test_a_stop_in_between_ends_the_search_as_failed(after_ms: int, whole: bool)
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         assert not_found(outcome, "x")
         await sleep_ns(world.clock, 500 * NS_PER_MS)
-        assert not world.controller.moving("X")
+        assert not world.controller.is_moving("X")
         assert not await homed(world, "x")
 
     run(main, options=BOTH, seed=after_ms)
@@ -140,7 +141,7 @@ def test_a_cancelled_search_is_ended_by_a_stop(after_ms: int):
         await asyncio.gather(search, return_exceptions=True)
         await world.driver.stop(False)
         await sleep_ns(world.clock, 500 * NS_PER_MS)
-        assert not world.controller.moving("X") and not world.controller.moving("Y")
+        assert not world.controller.is_moving("X") and not world.controller.is_moving("Y")
         await world.driver.poll()
         assert not await homed(world)
 
@@ -152,11 +153,11 @@ def test_a_cancelled_search_is_ended_by_itself():
         await world.ready()
         search = asyncio.create_task(homed(world))
         await sleep_ns(world.clock, 150 * NS_PER_MS)
-        assert world.controller.moving("X") and world.controller.moving("Y")
+        assert world.controller.is_moving("X") and world.controller.is_moving("Y")
         search.cancel()
         await asyncio.gather(search, return_exceptions=True)
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        assert not world.controller.moving("X") and not world.controller.moving("Y")
+        assert not world.controller.is_moving("X") and not world.controller.is_moving("Y")
 
     run(main, options=BOTH)
 
@@ -175,7 +176,7 @@ def test_a_restart_in_between_is_no_success(way: str):
             await world.talk("RS")
         (outcome,) = await asyncio.gather(search, return_exceptions=True)
         assert not_found(outcome, "x")
-        assert not world.controller.moving("X")
+        assert not world.controller.is_moving("X")
 
     run(main, options=BOTH)
 
@@ -183,16 +184,16 @@ def test_a_restart_in_between_is_no_success(way: str):
 def test_a_servo_that_was_pushed_while_off_goes_on_from_where_it_is():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.enable(["x"], False)
-        world.controller.push("X", 1234)
+        await world.driver.set_enabled(["x"], False)
+        world.controller.push_axis("X", 1234)
         reading = (await world.driver.poll()).axes["x"]
-        assert reading.actual_counts == 1234 and not reading.lost
-        await world.driver.enable(["x"], True)
+        assert reading.actual_counts == 1234 and not reading.position_lost
+        await world.driver.set_enabled(["x"], True)
         reading = (await world.driver.poll()).axes["x"]
         assert reading.commanded_counts == reading.actual_counts == 1234
         _, _, outcome, _ = await world.moved({"x": trapezoid(1234, 2234, 20_000, 200_000)})
         assert outcome.state == "done"
-        await world.driver.jog("x", JogMove(-20_000.0, 200_000.0, 0))
+        await world.driver.jog_axis("x", JogMove(-20_000.0, 200_000.0, 0))
         await at_rest(world.clock, world.controller, "X", NS_PER_S)
         assert world.controller.position("X") == 0
 
@@ -205,17 +206,17 @@ def test_a_stepper_that_is_off_has_lost_its_position():
     async def main(world: World) -> None:
         await world.talk("MTX=2")
         await world.ready()
-        assert not any(axis.lost for axis in (await world.driver.poll()).axes.values())
-        await world.driver.enable(["x", "y"], False)
-        world.controller.push("X", 700)
+        assert not any(axis.position_lost for axis in (await world.driver.poll()).axes.values())
+        await world.driver.set_enabled(["x", "y"], False)
+        world.controller.push_axis("X", 700)
         reading = await world.driver.poll()
-        assert reading.axes["x"].lost and not reading.axes["y"].lost
+        assert reading.axes["x"].position_lost and not reading.axes["y"].position_lost
         assert reading.axes["x"].actual_counts == reading.axes["x"].commanded_counts == 0
-        await world.driver.enable(["x"], True)
-        assert not (await world.driver.poll()).axes["x"].lost
+        await world.driver.set_enabled(["x"], True)
+        assert not (await world.driver.poll()).axes["x"].position_lost
         # The stage stands where it was pushed to: the switch is nearer by as much.
         assert not await homed(world, "x")
-        motion = world.controller.motions[0]
+        motion = world.controller.commanded_motions[0]
         assert motion.axis == "X"
 
     run(main, fleet=config, options=BOTH)

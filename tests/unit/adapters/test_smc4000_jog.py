@@ -9,8 +9,9 @@ import pytest
 from unit.adapters.test_smc4000_bench import World, run, trapezoid
 from unit.adapters.watching import Hand, Polling, Watch, at_rest
 
-from adapters.contract import CannotDo, JogMove
+from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
 
 RAMP = 400_000.0  # counts/s²
 EXACT = 1 + 1e-9
@@ -32,7 +33,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
     async def main(world: World) -> None:
         await world.ready()
         async with Watch(world.clock, world.controller, "XY") as tracks:
-            await world.driver.jog("x", jog(sign * 30_001.0, end and sign * end))
+            await world.driver.jog_axis("x", jog(sign * 30_001.0, end and sign * end))
             await sleep_ns(world.clock, 500 * NS_PER_MS)
             reading = await world.driver.poll()
             assert reading.axes["x"].moving and not reading.axes["y"].moving
@@ -43,7 +44,7 @@ def test_an_axis_jogs_at_its_speed_and_stops_by_its_ramp(end: int | None, sign: 
         assert tracks["X"].fastest <= 30_001 * EXACT
         assert tracks["X"].steepest() <= RAMP * 1.01
         assert tracks["Y"].fastest == 0
-        (motion,) = world.controller.motions
+        (motion,) = world.controller.commanded_motions
         assert motion.slowing_ns is not None and motion.end_ns is not None
         assert 0 < motion.slowing_ns - ordered_ns < STOP_NS
         assert motion.end_ns - motion.slowing_ns == pytest.approx(30_000 / RAMP * NS_PER_S, rel=0.02)
@@ -57,7 +58,7 @@ def test_it_comes_to_rest_exactly_at_the_end_of_its_way_without_another_word(spe
     async def main(world: World) -> None:
         await world.ready()
         async with Watch(world.clock, world.controller, "X") as tracks:
-            await world.driver.jog("x", jog(speed, end))
+            await world.driver.jog_axis("x", jog(speed, end))
             world.wire.cut = True
             assert await rested(world, within_s=5) == end
         assert tracks["X"].between(min(0, end), max(0, end))
@@ -71,10 +72,10 @@ def test_its_speed_is_changed_while_it_moves(end: int | None):
         await world.ready()
         async with Watch(world.clock, world.controller, "X") as tracks:
             for speed in (10_000.0, 40_000.0, 5_000.0, 5_000.0, 20_000.0):
-                await world.driver.jog("x", jog(speed, end))
+                await world.driver.jog_axis("x", jog(speed, end))
                 await sleep_ns(world.clock, 200 * NS_PER_MS)
                 assert world.controller.velocity("X") == pytest.approx(speed, abs=10)
-        assert len(world.controller.motions) == 1
+        assert len(world.controller.commanded_motions) == 1
         assert tracks["X"].steepest() <= RAMP * 1.01
         await world.driver.stop_axes(["x"])
         assert await rested(world) < 90_000
@@ -88,7 +89,7 @@ def test_its_direction_is_changed(ends: tuple[int | None, int | None]):
         await world.ready()
         async with Watch(world.clock, world.controller, "X") as tracks:
             for sign, end in zip((1, -1), ends, strict=True):
-                await world.driver.jog("x", jog(sign * 30_000.0, end))
+                await world.driver.jog_axis("x", jog(sign * 30_000.0, end))
                 await sleep_ns(world.clock, 300 * NS_PER_MS)
                 assert world.controller.velocity("X") == pytest.approx(sign * 30_000, abs=10)
         assert tracks["X"].steepest() <= RAMP * 1.01
@@ -101,10 +102,10 @@ def test_its_direction_is_changed(ends: tuple[int | None, int | None]):
 def test_a_gentler_ramp_and_a_nearer_end_go_by_way_of_a_stop():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("x", jog(40_000.0, 80_000))
+        await world.driver.jog_axis("x", jog(40_000.0, 80_000))
         await sleep_ns(world.clock, 300 * NS_PER_MS)
         async with Watch(world.clock, world.controller, "X") as tracks:
-            await world.driver.jog("x", jog(40_000.0, 60_000, RAMP / 4))
+            await world.driver.jog_axis("x", jog(40_000.0, 60_000, RAMP / 4))
             began_ns = world.clock.now_ns()
             assert await rested(world) == 60_000
         late = [v for at, v in zip(tracks["X"].at_ns, tracks["X"].velocities, strict=True) if at > began_ns]
@@ -116,19 +117,19 @@ def test_a_gentler_ramp_and_a_nearer_end_go_by_way_of_a_stop():
 def test_axes_jog_beside_each_other_and_stop_alone():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("x", jog(30_000.0, 80_000))
+        await world.driver.jog_axis("x", jog(30_000.0, 80_000))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        await world.driver.jog("y", jog(-20_000.0))
+        await world.driver.jog_axis("y", jog(-20_000.0))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await world.driver.stop_axes(["x"])
         await rested(world)
         assert world.controller.velocity("Y") == pytest.approx(-20_000, abs=8)
-        await world.driver.jog("x", jog(-10_000.0, -500))
+        await world.driver.jog_axis("x", jog(-10_000.0, -500))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
         await world.driver.stop(False)
         await rested(world)
         await rested(world, "Y")
-        assert not world.controller.moving("X")
+        assert not world.controller.is_moving("X")
 
     run(main)
 
@@ -136,10 +137,10 @@ def test_axes_jog_beside_each_other_and_stop_alone():
 def test_nothing_is_stopped_where_nothing_is_named():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("x", jog(30_000.0))
+        await world.driver.jog_axis("x", jog(30_000.0))
         await world.driver.stop_axes([])
         await sleep_ns(world.clock, 500 * NS_PER_MS)
-        assert world.controller.moving("X")
+        assert world.controller.is_moving("X")
 
     run(main)
 
@@ -157,11 +158,11 @@ def test_nothing_is_stopped_where_nothing_is_named():
 def test_what_can_not_be_is_refused_and_nothing_moves(move: JogMove, code: str):
     async def main(world: World) -> None:
         await world.ready()
-        with pytest.raises(CannotDo) as refused:
-            await world.driver.jog("x", move)
-        assert refused.value.refusal.code == code
+        with pytest.raises(Refusal) as refused:
+            await world.driver.jog_axis("x", move)
+        assert refused.value.code == code
         await sleep_ns(world.clock, NS_PER_S)
-        assert not world.controller.motions
+        assert not world.controller.commanded_motions
 
     run(main)
 
@@ -170,11 +171,11 @@ def test_what_would_fit_is_said():
     async def main(world: World) -> None:
         await world.ready()
         for move in (JogMove(-1.0, RAMP, None), JogMove(900.0, 900.0, None)):
-            with pytest.raises(CannotDo) as refused:
-                await world.driver.jog("x", move)
-            least = float(refused.value.refusal.remedy.split()[2]) * 1.0001
+            with pytest.raises(Refusal) as refused:
+                await world.driver.jog_axis("x", move)
+            least = float(refused.value.remedy.split()[2]) * 1.0001
             fits = JogMove(least, RAMP, None) if move.velocity_counts_s < 0 else JogMove(900.0, least, None)
-            await world.driver.jog("x", fits)
+            await world.driver.jog_axis("x", fits)
             await world.driver.stop_axes(["x"])
             await rested(world)
 
@@ -184,14 +185,14 @@ def test_what_would_fit_is_said():
 def test_a_motor_that_is_off_and_an_axis_that_moves_otherwise_are_refused():
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.enable(["x"], False)
-        with pytest.raises(CannotDo, match="motor off"):
-            await world.driver.jog("x", jog(1000.0))
+        await world.driver.set_enabled(["x"], False)
+        with pytest.raises(Refusal, match="motor off"):
+            await world.driver.jog_axis("x", jog(1000.0))
         for line in ("PRY=50000", "SPY=20000", "BGY"):
             await world.talk(line)
-        with pytest.raises(CannotDo, match="is moving"):
-            await world.driver.jog("y", jog(1000.0))
-        assert [motion.axis for motion in world.controller.motions] == ["Y"]
+        with pytest.raises(Refusal, match="is moving"):
+            await world.driver.jog_axis("y", jog(1000.0))
+        assert [motion.axis for motion in world.controller.commanded_motions] == ["Y"]
 
     run(main)
 
@@ -200,18 +201,18 @@ def test_a_motor_that_is_off_and_an_axis_that_moves_otherwise_are_refused():
 def test_a_limit_switch_ends_a_jog_and_the_way_back_is_open(end: int | None):
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("x", jog(30_000.0, end))
+        await world.driver.jog_axis("x", jog(30_000.0, end))
         await sleep_ns(world.clock, 200 * NS_PER_MS)
         world.controller.set_limit("X", "forward")
         stopped_at = await rested(world)
         reading = await world.driver.poll()
         assert reading.axes["x"].limit == "forward" and not reading.faults
-        with pytest.raises(CannotDo, match="Limit Switch"):
-            await world.driver.jog("x", jog(30_000.0, end))
-        await world.driver.jog("x", jog(-30_000.0, end and -end))
+        with pytest.raises(Refusal, match="Limit Switch"):
+            await world.driver.jog_axis("x", jog(30_000.0, end))
+        await world.driver.jog_axis("x", jog(-30_000.0, end and -end))
         await sleep_ns(world.clock, 200 * NS_PER_MS)
         assert world.controller.position("X") < stopped_at
-        assert world.controller.moving("X")
+        assert world.controller.is_moving("X")
 
     run(main, options={"home_edge": {"X": 3000}})
 
@@ -220,19 +221,19 @@ def test_after_jogs_a_step_and_homing_work_as_ever():
     async def main(world: World) -> None:
         await world.ready()
         for end in (None, 20_000):
-            await world.driver.jog("x", jog(10_000.0, end))
+            await world.driver.jog_axis("x", jog(10_000.0, end))
             await sleep_ns(world.clock, 200 * NS_PER_MS)
             await world.driver.stop_axes(["x"])
             start = round(await rested(world))
             _, _, outcome, _ = await world.moved({"x": trapezoid(start, start + 5000, 80_000, 700_000)})
             assert outcome.state == "done"
             assert world.controller.position("X") == start + 5000
-        await world.driver.jog("x", jog(10_000.0))
-        with pytest.raises(CannotDo):
-            await world.driver.home(["x"], lambda _: None)
+        await world.driver.jog_axis("x", jog(10_000.0))
+        with pytest.raises(Refusal):
+            await world.driver.home_axes(["x"], lambda _: None)
         await world.driver.stop_axes(["x"])
         await rested(world)
-        assert not await world.driver.home(["x"], lambda _: None)
+        assert not await world.driver.home_axes(["x"], lambda _: None)
         assert (await world.driver.poll()).axes["x"].commanded_counts == 0
 
     run(main, options={"home_edge": {"X": 3000}, "index_every": {"X": 2000}})
@@ -243,22 +244,22 @@ def test_after_jogs_a_step_and_homing_work_as_ever():
 def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bool):
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("y", jog(5_000.0))
-        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0, 50_000)))
+        await world.driver.jog_axis("y", jog(5_000.0))
+        begun = asyncio.create_task(world.driver.jog_axis("x", jog(20_000.0, 50_000)))
         await sleep_ns(world.clock, after_us * 1000)
         if abort:
             await world.driver.stop(True)
         else:
             await world.driver.stop_axes(["x"])
         (outcome,) = await asyncio.gather(begun, return_exceptions=True)
-        assert outcome is None or isinstance(outcome, CannotDo)
+        assert outcome is None or isinstance(outcome, Refusal)
         await sleep_ns(world.clock, 200 * NS_PER_MS)
-        assert not world.controller.moving("X")
-        assert world.controller.moving("Y") != abort
+        assert not world.controller.is_moving("X")
+        assert world.controller.is_moving("Y") != abort
         assert world.controller.position("X") < 700
-        await world.driver.jog("x", jog(20_000.0, 50_000))
+        await world.driver.jog_axis("x", jog(20_000.0, 50_000))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        assert world.controller.moving("X")
+        assert world.controller.is_moving("X")
 
     run(main, seed=after_us)
 
@@ -267,14 +268,14 @@ def test_a_stop_at_every_stage_of_a_jog_leaves_it_still(after_us: int, abort: bo
 def test_a_stop_while_the_direction_is_changed_leaves_it_still(after_us: int):
     async def main(world: World) -> None:
         await world.ready()
-        await world.driver.jog("x", jog(5_000.0, 50_000))
+        await world.driver.jog_axis("x", jog(5_000.0, 50_000))
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        turned = asyncio.create_task(world.driver.jog("x", jog(-5_000.0, -50_000)))
+        turned = asyncio.create_task(world.driver.jog_axis("x", jog(-5_000.0, -50_000)))
         await sleep_ns(world.clock, after_us * 1000)
         await world.driver.stop_axes(["x"])
         await asyncio.gather(turned, return_exceptions=True)
         await sleep_ns(world.clock, 100 * NS_PER_MS)
-        assert not world.controller.moving("X")
+        assert not world.controller.is_moving("X")
 
     run(main, seed=after_us)
 
@@ -283,15 +284,15 @@ def test_a_stop_while_the_direction_is_changed_leaves_it_still(after_us: int):
 def test_a_jog_that_is_cancelled_and_stopped_leaves_the_driver_usable(after_us: int):
     async def main(world: World) -> None:
         await world.ready()
-        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0, 50_000)))
+        begun = asyncio.create_task(world.driver.jog_axis("x", jog(20_000.0, 50_000)))
         await sleep_ns(world.clock, after_us * 1000)
         begun.cancel()
         await asyncio.gather(begun, return_exceptions=True)
         await world.driver.stop_axes(["x"])
         await sleep_ns(world.clock, 300 * NS_PER_MS)
-        assert not world.controller.moving("X")
+        assert not world.controller.is_moving("X")
         await world.driver.poll()
-        await world.driver.jog("x", jog(20_000.0, 50_000))
+        await world.driver.jog_axis("x", jog(20_000.0, 50_000))
         assert await rested(world, within_s=5) == 50_000
 
     run(main, seed=after_us)
@@ -308,11 +309,11 @@ def test_a_cancelled_begin_stops_by_itself():
             return data
 
         world.wire.to_far = gone
-        begun = asyncio.create_task(world.driver.jog("x", jog(20_000.0)))
+        begun = asyncio.create_task(world.driver.jog_axis("x", jog(20_000.0)))
         await asyncio.gather(begun, return_exceptions=True)
         assert begun.cancelled()
         await sleep_ns(world.clock, 300 * NS_PER_MS)
-        assert world.controller.motions and not world.controller.moving("X")
+        assert world.controller.commanded_motions and not world.controller.is_moving("X")
 
     run(main)
 

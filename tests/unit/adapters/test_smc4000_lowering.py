@@ -8,32 +8,32 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, trapezoid
 
-from adapters.contract import CannotDo
-from adapters.yaskawa.common.contour import LEAST_RECORDS, Room, fit_contour, increments, least_interval
-from adapters.yaskawa.common.lowering import LoweredMoves, Records, Registers, lower_moves
+from adapters.yaskawa.common.contour import FEWEST_RECORDS, ContourLimits, axis_increments, fit_contour, least_interval
+from adapters.yaskawa.common.lowering import ContourLoad, RegisterLoad, YaskawaLowered, lower_moves
 from adapters.yaskawa.common.model import SMC4000
-from adapters.yaskawa.common.options import Options
-from adapters.yaskawa.common.trapezoid import Bounds, fit
+from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.trapezoid import YaskawaBounds, fit_registers
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import Costs
+from orchestrator.model.state import StepCosts
 from orchestrator.plan.step import AxisMove, plan_step
 
 TICK_NS = 976_562.5
 CONFIG = Controller.model_validate(FLEET)
-ROOM = Room(15_000, 2, 10.0)
-COSTS = Costs(arm_ns=1, disarm_ns=1, stop_ns=1)
+ROOM = ContourLimits(15_000, 2, 10.0)
+COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
 
 
 def mapping(tick_ns: float = TICK_NS) -> TickMapping:
     return TickMapping(1000, 10**9, tick_ns, 0.0, 0, 100_000, 1.0, 50, 200_000)
 
 
-def lower(profiles: Mapping[str, Profile], tick_ns: float = TICK_NS, **options: Any) -> LoweredMoves:
+def lower(profiles: Mapping[str, Profile], tick_ns: float = TICK_NS, **options: Any) -> YaskawaLowered:
     motors = {"x": 0, "y": 1}
-    return lower_moves(CONFIG, motors, Options(**options), COSTS, profiles, StartWay(), mapping(tick_ns))
+    return lower_moves(CONFIG, motors, YaskawaOptions(**options), COSTS, profiles, StartOptions(), mapping(tick_ns))
 
 
 def random_plans(draw: Random, order: int, slowest: float = 10.0) -> dict[str, Profile]:
@@ -57,25 +57,25 @@ def test_contours_of_random_plans_are_exact_at_every_instant_and_in_their_sum(se
         profiles = random_plans(draw, draw.choice((2, 3)))
         contour = fit_contour(profiles, tick_ns, ROOM, SMC4000)
         phase = draw.uniform(-0.5, 0.5)
-        instants = contour.instants
-        assert contour.count * len(profiles) <= ROOM.elements
-        assert len(instants) == contour.count and contour.records >= LEAST_RECORDS
+        instants = contour.record_ends
+        assert contour.record_count * len(profiles) <= ROOM.elements
+        assert len(instants) == contour.record_count and contour.records >= FEWEST_RECORDS
         assert list(contour.tail) == sorted(set(contour.tail), reverse=True)
         assert all(1 <= n < contour.interval for n in contour.tail)
         for axis, profile in profiles.items():
             end = contour.ends[axis]
-            steps = increments(profile, end, contour, phase, tick_ns)
-            assert len(steps) == contour.count
+            steps = axis_increments(profile, end, contour, phase, tick_ns)
+            assert len(steps) == contour.record_count
             assert sum(steps) == profile.end_counts - profile.start_counts
             assert max(map(abs, steps)) <= SMC4000.record_max
             assert steps[instants.index(end)] and not any(steps[instants.index(end) + 1 :])
-            at, plan, tick_s = 0, profile.evaluator(), tick_ns * 1e-9
+            at, plan, tick_s = 0, profile.make_evaluator(), tick_ns * 1e-9
             for instant, step in zip(instants, steps, strict=True):
                 at += step
                 assert abs(at - plan((phase + instant) * tick_s).position) <= 1.0
                 # Never beyond its target, never back.
                 assert step == 0 or (step > 0) == (profile.end_counts > profile.start_counts)
-            if contour.records > LEAST_RECORDS:
+            if contour.records > FEWEST_RECORDS:
                 assert abs(end - profile.duration_s / tick_s) <= 2.0
                 if profile.duration_s * (1 + 1e-9) >= max(each.duration_s for each in profiles.values()):
                     assert end == instants[-1]
@@ -86,13 +86,13 @@ def test_between_two_instants_a_contour_leaves_its_plan_by_no_more_than_it_says(
     for _ in range(30):
         profiles = random_plans(draw, 3, 5_000.0)
         lowered = lower(profiles)
-        assert isinstance(lowered.load, Records)
+        assert isinstance(lowered.load, ContourLoad)
         contour, tick_s = lowered.load.contour, TICK_NS * 1e-9
         for axis, profile in profiles.items():
-            plan = profile.evaluator()
+            plan = profile.make_evaluator()
             at, before = 0.0, 0
             for instant, step in zip(
-                contour.instants, increments(profile, contour.ends[axis], contour, 0.0, TICK_NS), strict=True
+                contour.record_ends, axis_increments(profile, contour.ends[axis], contour, 0.0, TICK_NS), strict=True
             ):
                 for sample in range(before, instant):
                     real = at + step * (sample - before) / (instant - before)
@@ -108,8 +108,8 @@ def test_fast_trapezoids_go_by_registers_and_last_as_planned(seed: int):
         velocity, acceleration = draw.uniform(20_000, 100_000), draw.uniform(200_000, 1_000_000)
         profile = trapezoid(0, draw.randrange(20_000, 500_000), velocity, acceleration, draw.uniform(1.0, 1.3))
         lowered = lower({"x": profile})
-        by_contour += isinstance(lowered.load, Records)
-        held = isinstance(lowered.load, Registers) and lowered.load.shapes[0].at_limit
+        by_contour += isinstance(lowered.load, ContourLoad)
+        held = isinstance(lowered.load, RegisterLoad) and lowered.load.shapes[0].at_limit
         assert abs(lowered.durations_s["x"] - profile.duration_s) < (1e-3 * profile.duration_s if held else 0.2e-3)
         assert lowered.path_error_counts["x"] <= max(2.0, 10 * profile.peak_velocity * 1e-3)
     assert by_contour <= 4
@@ -119,21 +119,21 @@ def test_fast_trapezoids_go_by_registers_and_last_as_planned(seed: int):
 def test_slow_trapezoids_go_by_contour_and_say_why(velocity: float, ramp: float):
     profile = trapezoid(0, round(velocity * 5), velocity, ramp)
     lowered = lower({"x": profile, "y": trapezoid(0, 50_000, 40_000, 204_800)})
-    assert isinstance(lowered.load, Records)
+    assert isinstance(lowered.load, ContourLoad)
     assert lowered.durations_s["x"] == pytest.approx(profile.duration_s)
     assert lowered.path_error_counts["x"] < 2.0
     assert lowered.commands[0].startswith("contour: ")
-    assert lowered.commands[-1].startswith("(by its registers x ends ")
+    assert lowered.commands[-1].startswith("(with its registers x ends ")
 
 
 def test_a_slow_trapezoid_that_no_contour_can_hold_is_made_by_registers_and_says_how_long_it_takes():
     profile = trapezoid(0, 1001 * 100, 1_001.0, 5_000.0)
     lowered = lower({"x": profile}, array_elements=300, contour_sag_counts=0.0)
-    assert isinstance(lowered.load, Registers)
+    assert isinstance(lowered.load, RegisterLoad)
     shape = lowered.load.shapes[0]
     assert lowered.durations_s["x"] == pytest.approx(shape.length * TICK_NS * 1e-9)
     assert lowered.durations_s["x"] != pytest.approx(profile.duration_s, abs=1e-4)
-    assert "by its registers x ends" in lowered.commands[-1] and "no contour: axis x" in lowered.commands[-1]
+    assert "with its registers x ends" in lowered.commands[-1] and "no contour: axis x" in lowered.commands[-1]
 
 
 def test_a_plan_at_its_limits_is_held_by_the_registers_and_answered_with_the_time_that_takes():
@@ -150,18 +150,18 @@ def test_a_plan_at_its_limits_is_held_by_the_registers_and_answered_with_the_tim
         }
     )
     profile = trapezoid(0, 100_000, 30_001.0, 300_500.0)
-    lowered = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": profile}, StartWay(), mapping())
-    assert isinstance(lowered.load, Registers)
+    lowered = lower_moves(config, {"x": 0}, YaskawaOptions(), COSTS, {"x": profile}, StartOptions(), mapping())
+    assert isinstance(lowered.load, RegisterLoad)
     assert 0 < lowered.durations_s["x"] - profile.duration_s < 1e-3 * profile.duration_s
-    again = profile.stretched(lowered.durations_s["x"] / profile.duration_s)
-    second = lower_moves(config, {"x": 0}, Options(), COSTS, {"x": again}, StartWay(), mapping())
+    again = profile.stretch_time(lowered.durations_s["x"] / profile.duration_s)
+    second = lower_moves(config, {"x": 0}, YaskawaOptions(), COSTS, {"x": again}, StartOptions(), mapping())
     assert second.durations_s["x"] == pytest.approx(again.duration_s, abs=2e-4)
 
 
 def test_a_trapezoid_of_uneven_ramps_goes_by_contour():
     profile = Profile(0, 100, 50.0, [1.0, 0.5, 2.0], [1.0, 0.0, -0.5], [0.0] * 3)
     lowered = lower({"x": profile})
-    assert isinstance(lowered.load, Records)
+    assert isinstance(lowered.load, ContourLoad)
     assert lowered.durations_s["x"] == pytest.approx(profile.duration_s)
 
 
@@ -173,10 +173,10 @@ def test_records_lengthen_only_as_far_as_they_must_and_may():
         contour = fit_contour(profiles, TICK_NS, ROOM, SMC4000)
         assert contour.interval == interval
     steep = dict(plan_step([AxisMove("x", 0, 10_000_000, 1e5, 1e6, 1e7, order=3)]).profiles)
-    with pytest.raises(CannotDo) as refusal:
-        fit_contour(steep, TICK_NS, Room(15_000, 2, 5.0), SMC4000)
-    assert refusal.value.refusal.code == "contour-too-long"
-    assert "axis x" in refusal.value.refusal.text and "at most 58.6 s" in refusal.value.refusal.remedy
+    with pytest.raises(Refusal) as refusal:
+        fit_contour(steep, TICK_NS, ContourLimits(15_000, 2, 5.0), SMC4000)
+    assert refusal.value.code == "contour-too-long"
+    assert "axis x" in refusal.value.text and "at most 58.6 s" in refusal.value.remedy
     assert fit_contour(steep, TICK_NS, ROOM, SMC4000).interval == 3
 
 
@@ -186,18 +186,18 @@ def test_the_shortest_record_is_one_that_the_program_keeps_up_with():
     assert least_interval(3.75e6, TICK_NS / 4, SMC4000) == 4
     jerked = dict(plan_step([AxisMove("x", 0, 50_000, 5e4, 5e5, 5e6, order=3)]).profiles)
     slow = lower(jerked, decode_us=1000)
-    assert isinstance(slow.load, Records) and slow.load.contour.interval == 4
+    assert isinstance(slow.load, ContourLoad) and slow.load.contour.interval == 4
     usual, quick = lower(jerked), lower(jerked, decode_us=300)
-    assert isinstance(usual.load, Records) and usual.load.contour.interval == 3
-    assert isinstance(quick.load, Records) and quick.load.contour.interval == 2
+    assert isinstance(usual.load, ContourLoad) and usual.load.contour.interval == 3
+    assert isinstance(quick.load, ContourLoad) and quick.load.contour.interval == 2
 
 
 def test_a_move_that_is_faster_than_its_registers_is_refused_with_what_would_fit():
     fast = dict(plan_step([AxisMove("x", 0, 10**8, 1.3e7, 6e7, 1e9, order=3)]).profiles)
-    with pytest.raises(CannotDo) as refusal:
-        fit_contour(fast, TICK_NS, Room(15_000, 1, 10.0), SMC4000)
-    assert refusal.value.refusal.code == "too-fast"
-    assert "axis x" in refusal.value.refusal.text and "at most 1.2e+07" in refusal.value.refusal.remedy
+    with pytest.raises(Refusal) as refusal:
+        fit_contour(fast, TICK_NS, ContourLimits(15_000, 1, 10.0), SMC4000)
+    assert refusal.value.code == "too-fast"
+    assert "axis x" in refusal.value.text and "at most 1.2e+07" in refusal.value.remedy
 
 
 def test_the_cost_of_arming_goes_with_what_is_loaded():
@@ -211,8 +211,8 @@ def test_the_cost_of_arming_goes_with_what_is_loaded():
 def test_registers_of_a_triangle_and_of_one_count():
     for way in (1, 2, 3, 50):
         profile = trapezoid(0, way, 100_000.0, 1e6)
-        shape = fit({"x": profile}, {"x": Bounds(1e5, 1e6)}, TICK_NS, SMC4000)["x"]
-        assert math.isfinite(shape.length) and shape.samples >= 1
+        shape = fit_registers({"x": profile}, {"x": YaskawaBounds(1e5, 1e6)}, TICK_NS, SMC4000)["x"]
+        assert math.isfinite(shape.length) and shape.whole_samples >= 1
         lowered = lower({"x": profile})
         assert lowered.durations_s["x"] < 0.02
 
@@ -225,9 +225,9 @@ def test_a_move_ends_at_the_sample_next_to_the_plans_end_once_its_begin_is_known
     for _ in range(20):
         way = draw.randrange(200_000, 3_000_000)
         profile = plan_step([AxisMove("x", 0, way, draw.uniform(20_000, 80_000), 4e5, None, order=2)]).profiles["x"]
-        motors, how = {"x": 0}, StartWay(lead_ns=lead_ns, exact=True)
-        lowered = lower_moves(CONFIG, motors, Options(), COSTS, {"x": profile}, how, clock)
+        motors, how = {"x": 0}, StartOptions(lead_ns=lead_ns, exact=True)
+        lowered = lower_moves(CONFIG, motors, YaskawaOptions(), COSTS, {"x": profile}, how, clock)
         start_ns = clock.host_ns(round(clock.ticks(t0_ns)))
         end_ns = start_ns + lowered.moves[0].samples * clock.tick_ns
-        assert isinstance(lowered.load, Registers)
+        assert isinstance(lowered.load, RegisterLoad)
         assert abs(end_ns - t0_ns - profile.duration_s * 1e9) <= 0.501 * clock.tick_ns

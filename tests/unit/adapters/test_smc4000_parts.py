@@ -6,18 +6,18 @@ from typing import Any
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
-from adapters.contract import CannotDo
 from adapters.yaskawa.common.dialect import MAX_LINE
-from adapters.yaskawa.common.gate import Gate
+from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
-from adapters.yaskawa.common.options import Options
-from adapters.yaskawa.common.program import VARIABLES, program
-from adapters.yaskawa.common.trapezoid import Bounds, Place, fit
+from adapters.yaskawa.common.options import YaskawaOptions
+from adapters.yaskawa.common.program import VARIABLES, program_lines
+from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
 from adapters.yaskawa.smc4000.session import parse_reply
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import StartWay
+from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 
 TICK_S = 976_562.5e-9
@@ -48,23 +48,23 @@ def test_registers_never_exceed_the_limits_in_host_time():
         tick_ns = 976_562.5 * (1 + draw.uniform(-1e-4, 1e-4))
         speed, ramp = draw.uniform(5_000, 100_000), draw.uniform(30_000, 1_000_000)
         profile = trapezoid(0, draw.randrange(1_000, 300_000), speed, ramp, draw.choice((1.0, draw.uniform(1, 1.4))))
-        move = fit({"x": profile}, {"x": Bounds(speed, ramp)}, tick_ns, SMC4000)["x"]
+        move = fit_registers({"x": profile}, {"x": YaskawaBounds(speed, ramp)}, tick_ns, SMC4000)["x"]
         tick_s = tick_ns * 1e-9
         assert move.speed % 2 == 0 and move.up % 1024 == 0 and move.down % 1024 == 0
         assert move.speed / SPEED_UNIT / tick_s <= speed * (1 + 1e-6)
         assert max(move.up, move.down) / RAMP_UNIT / tick_s**2 <= ramp * (1 + 1e-6)
-        assert move.samples >= round(profile.duration_s / tick_s)
+        assert move.whole_samples >= round(profile.duration_s / tick_s)
 
 
 def test_a_plan_that_uses_its_limits_is_met_when_it_is_planned_again_with_the_answer():
     tick_ns = 976_500.0
     profile = trapezoid(0, 100_000, 80_001.0, 500_500.0)
-    first = fit({"x": profile}, {"x": Bounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
-    answer_s = first.samples * tick_ns * 1e-9
+    first = fit_registers({"x": profile}, {"x": YaskawaBounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
+    answer_s = first.whole_samples * tick_ns * 1e-9
     assert answer_s > profile.duration_s
-    again = profile.stretched(answer_s / profile.duration_s)
-    second = fit({"x": again}, {"x": Bounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
-    assert second.samples * tick_ns * 1e-9 == pytest.approx(answer_s, abs=tick_ns * 0.5e-9)
+    again = profile.stretch_time(answer_s / profile.duration_s)
+    second = fit_registers({"x": again}, {"x": YaskawaBounds(80_001.0, 500_500.0)}, tick_ns, SMC4000)["x"]
+    assert second.whole_samples * tick_ns * 1e-9 == pytest.approx(answer_s, abs=tick_ns * 0.5e-9)
 
 
 @pytest.mark.parametrize("placed", [False, True])
@@ -72,17 +72,17 @@ def test_axes_that_are_fitted_together_are_what_each_is_by_itself(placed: bool):
     draw = Random(8)
     coarse = 0
     for _ in range(60):
-        profiles, bounds, places = dict[str, Profile](), dict[str, Bounds](), dict[str, Place]()
+        profiles, bounds, places = dict[str, Profile](), dict[str, YaskawaBounds](), dict[str, SampleAlignment]()
         for axis in "xyzw":
             # Slow and gentle ones are searched twice.
             speed, ramp = draw.choice([(50.0, 2_000.0), (5e4, 5e5)])
             profiles[axis] = trapezoid(0, draw.randrange(1, round(3 * speed)), speed, ramp, draw.uniform(1, 1.4))
-            bounds[axis] = Bounds(speed, ramp)
-            places[axis] = Place(draw.uniform(-0.5, 0.5), max(1, round(profiles[axis].duration_s / TICK_S)))
+            bounds[axis] = YaskawaBounds(speed, ramp)
+            places[axis] = SampleAlignment(draw.uniform(-0.5, 0.5), max(1, round(profiles[axis].duration_s / TICK_S)))
             coarse += speed < 100
-        together = fit(profiles, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
+        together = fit_registers(profiles, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
         for axis, profile in profiles.items():
-            alone = fit({axis: profile}, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
+            alone = fit_registers({axis: profile}, bounds, TICK_S * 1e9, SMC4000, places if placed else None)
             assert together[axis] == alone[axis]
     assert 60 < coarse < 180
 
@@ -96,27 +96,42 @@ def test_axes_that_are_fitted_together_are_what_each_is_by_itself(placed: bool):
     ],
 )
 def test_profiles_that_do_not_fit_are_refused(profile: Profile, code: str):
-    with pytest.raises(CannotDo) as refusal:
-        fit({"x": profile}, {"x": Bounds(1e5, 1e6)}, 976_562.5, SMC4000)
-    assert refusal.value.refusal.code == code
-    assert "axis x" in refusal.value.refusal.text
+    with pytest.raises(Refusal) as refusal:
+        fit_registers({"x": profile}, {"x": YaskawaBounds(1e5, 1e6)}, 976_562.5, SMC4000)
+    assert refusal.value.code == code
+    assert "axis x" in refusal.value.text
 
 
 @pytest.mark.parametrize(
     ("period_us", "decode_us", "gate"),
     [
-        (1000, 500, Gate(room=9, soon=6, seen=10, decided=19, release=27)),
-        (250, 100, Gate(room=33, soon=11, seen=27, decided=60, release=91)),  # commands take no less for it
-        (1000, 1000, Gate(room=17, soon=8, seen=16, decided=33, release=49)),
-        (20000, 500, Gate(room=1, soon=5, seen=5, decided=6, release=7)),
+        (
+            1000,
+            500,
+            GateTiming(wait_after_gate=9, usual_delay=6, longest_delay=10, decided_before=19, release_before=27),
+        ),
+        (
+            250,
+            100,
+            GateTiming(wait_after_gate=33, usual_delay=11, longest_delay=27, decided_before=60, release_before=91),
+        ),  # commands take no less for it
+        (
+            1000,
+            1000,
+            GateTiming(wait_after_gate=17, usual_delay=8, longest_delay=16, decided_before=33, release_before=49),
+        ),
+        (20000, 500, GateTiming(wait_after_gate=1, usual_delay=5, longest_delay=5, decided_before=6, release_before=7)),
     ],
 )
-def test_the_gate_leaves_its_commands_their_time_whatever_a_sample_is(period_us: int, decode_us: int, gate: Gate):
-    assert Gate.of(Options(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100)) == gate
+def test_the_gate_leaves_its_commands_their_time_whatever_a_sample_is(period_us: int, decode_us: int, gate: GateTiming):
+    assert (
+        GateTiming.for_options(YaskawaOptions(servo_period_us=period_us, decode_us=decode_us, decode_min_us=100))
+        == gate
+    )
 
 
 def test_the_program_keeps_the_controllers_rules():
-    lines = program(4, Gate.of(Options(servo_period_us=250, decode_us=2000)))
+    lines = program_lines(4, GateTiming.for_options(YaskawaOptions(servo_period_us=250, decode_us=2000)))
     labels = [line.split(";")[0] for line in lines if line.startswith("#")]
     assert len(lines) <= 2000 and all(len(line) <= MAX_LINE for line in lines)
     assert all(1 < len(label) <= 8 for label in labels) and len(set(labels)) == len(labels)
@@ -154,7 +169,7 @@ def test_the_program_keeps_the_controllers_rules():
 )
 def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
     with pytest.raises(ValueError, match=words):
-        MAKE.check(Controller.model_validate(FLEET | change))
+        MAKE.check_config(Controller.model_validate(FLEET | change))
 
 
 @pytest.mark.parametrize("halts", [True, False])
@@ -162,10 +177,10 @@ def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
 def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms: int):
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         await sleep_ns(world.clock, t0_ns - before_ms * NS_PER_MS - world.clock.now_ns())
         link = await world.wire.open()
@@ -180,15 +195,15 @@ def test_a_guardians_bytes_stop_what_moves_and_what_waits(halts: bool, before_ms
 def test_a_stop_goes_out_by_the_other_handle_when_its_own_is_closed():
     async def main(world: World) -> None:
         await world.ready()
-        mapping = world.driver.mapping()
-        lowered = world.driver.lower({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartWay(), mapping)
+        mapping = world.driver.clock_mapping()
+        lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
-        await world.driver.arm(lowered, t0_ns, mapping)
+        await world.driver.arm_move(lowered, t0_ns, mapping)
         await world.driver.go()
         world.wire.links[1].hang_up()
         await world.driver.stop(False)
         await sleep_ns(world.clock, 3000 * NS_PER_MS)
-        assert not world.controller.motions
-        assert float(await world.driver.raw("MG 7")) == 7
+        assert not world.controller.commanded_motions
+        assert float(await world.driver.send_raw("MG 7")) == 7
 
     run(main)

@@ -7,17 +7,17 @@ from typing import Any
 
 import pytest
 
-from adapters.contract import CannotDo
-from adapters.controller.fencing import Fence
-from adapters.controller.store import FileStore, Memory, MemoryStore, Remembered
-from orchestrator.clock.executor import Threaded, inline
-from orchestrator.model.messages import Adopt, Reign
+from adapters.controller.fencing import EpochFence
+from adapters.controller.store import AdapterMemory, FileStore, PersistentMemory, VolatileStore
+from orchestrator.clock.executor import Threaded, run_inline
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import AdoptRequest, LeaderHeartbeat
 from orchestrator.model.state import EstopLatch
 
 LATCH = EstopLatch(event="e1", actor="anna", reason="a hand in the machine", utc="2026-11-23T04:00:00Z")
 
 
-class Disk(MemoryStore):
+class Disk(VolatileStore):
     """A store that counts what is saved, and that can be full."""
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Disk(MemoryStore):
         self.saved: list[int] = []
         self.full = False
 
-    def save(self, memory: Memory) -> None:
+    def save(self, memory: AdapterMemory) -> None:
         if self.full:
             raise OSError("no space left on device")
         self.saved.append(memory.epoch)
@@ -34,16 +34,16 @@ class Disk(MemoryStore):
 
 def test_what_was_kept_is_there_again(tmp_path: Path) -> None:
     store = FileStore(tmp_path / "state" / "gantry.json")
-    assert store.load() == Memory()
+    assert store.load() == AdapterMemory()
 
     async def change() -> None:
-        remembered = Remembered(store, inline)
-        remembered.change(epoch=7, coordinator="c1")
-        remembered.change(estop=LATCH)
-        await remembered.keep()
+        remembered = PersistentMemory(store, run_inline)
+        remembered.change_values(epoch=7, coordinator="c1")
+        remembered.change_values(estop=LATCH)
+        await remembered.persist()
 
     asyncio.run(change())
-    again = Remembered(FileStore(tmp_path / "state" / "gantry.json"), inline).now
+    again = PersistentMemory(FileStore(tmp_path / "state" / "gantry.json"), run_inline).values
     assert (again.epoch, again.coordinator, again.estop) == (7, "c1", LATCH)
 
 
@@ -59,11 +59,11 @@ def test_a_file_that_can_not_be_read_counts_as_an_estop(tmp_path: Path, content:
 def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:
     async def main() -> None:
         store = FileStore(tmp_path / "gantry.json")
-        remembered = Remembered(store, Threaded("memory"))
+        remembered = PersistentMemory(store, Threaded("memory"))
         keeping: list[asyncio.Task[None]] = []
         for epoch in range(1, 30):
-            remembered.change(epoch=epoch)
-            keeping.append(asyncio.get_running_loop().create_task(remembered.keep()))
+            remembered.change_values(epoch=epoch)
+            keeping.append(asyncio.get_running_loop().create_task(remembered.persist()))
             await asyncio.sleep(0)
         await asyncio.gather(*keeping)
         assert store.load().epoch == 29
@@ -74,25 +74,25 @@ def test_changes_reach_the_disk_in_their_order(tmp_path: Path) -> None:
 def test_what_has_been_kept_is_not_written_again_and_what_could_not_be_is() -> None:
     async def main() -> None:
         disk = Disk()
-        remembered = Remembered(disk, inline)
-        await remembered.keep()
-        remembered.change(epoch=1)
-        await remembered.keep()
-        await remembered.keep()
+        remembered = PersistentMemory(disk, run_inline)
+        await remembered.persist()
+        remembered.change_values(epoch=1)
+        await remembered.persist()
+        await remembered.persist()
         assert disk.saved == [1]
-        remembered.change(epoch=2)
+        remembered.change_values(epoch=2)
         disk.full = True
         with pytest.raises(OSError, match="no space"):
-            await remembered.keep()
+            await remembered.persist()
         disk.full = False
-        await remembered.keep()
+        await remembered.persist()
         assert disk.saved == [1, 2] and disk.load().epoch == 2
 
     asyncio.run(main())
 
 
-def adoption(epoch: int) -> Adopt:
-    reign = Reign(
+def adoption(epoch: int) -> AdoptRequest:
+    reign = LeaderHeartbeat(
         fleet="lab",
         epoch=epoch,
         coordinator="c1",
@@ -102,7 +102,7 @@ def adoption(epoch: int) -> Adopt:
         origin_host_ns=0,
         utc="2026-11-23T04:00:00Z",
     )
-    return Adopt(request_id=f"r{epoch}", actor="coordinator", epoch=epoch, coordinator="c1", reign=reign)
+    return AdoptRequest(request_id=f"r{epoch}", actor="coordinator", epoch=epoch, coordinator="c1", leader=reign)
 
 
 @pytest.mark.parametrize("before", [False, True])
@@ -111,18 +111,18 @@ def test_who_can_not_keep_the_reign_is_not_adopted(before: bool) -> None:
 
     async def main() -> None:
         disk = Disk()
-        fence = Fence(Remembered(disk, inline))
+        fence = EpochFence(PersistentMemory(disk, run_inline))
         if before:
-            assert await fence.adopt(adoption(2))
+            assert await fence.adopt_leader(adoption(2))
         adopt = adoption(3)
         disk.full = True
         with pytest.raises(OSError, match="no space"):
-            await fence.adopt(adopt)
-        with pytest.raises(CannotDo):
-            await fence.admit(adopt)
+            await fence.adopt_leader(adopt)
+        with pytest.raises(Refusal):
+            await fence.require_current_leader(adopt)
         disk.full = False
-        assert await fence.adopt(adopt)
-        await fence.admit(adopt)
+        assert await fence.adopt_leader(adopt)
+        await fence.require_current_leader(adopt)
         assert disk.load().epoch == 3
 
     asyncio.run(main())
@@ -136,17 +136,17 @@ def test_who_asks_while_a_reign_is_being_kept_waits_until_what_was_before_is_dro
             await asyncio.sleep(0.01)
             return work(*values)
 
-        fence = Fence(Remembered(Disk(), slowly))
+        fence = EpochFence(PersistentMemory(Disk(), slowly))
 
         async def adopts() -> None:
-            assert await fence.adopt(adoption(2))
+            assert await fence.adopt_leader(adoption(2))
             done.append("dropped")
 
         async def asks() -> None:
-            await fence.admit(adoption(2))
+            await fence.require_current_leader(adoption(2))
             done.append("leased")
 
-        await fence.adopt(adoption(1))
+        await fence.adopt_leader(adoption(1))
         await asyncio.gather(adopts(), asks(), asks())
         assert done == ["dropped", "leased", "leased"]
 

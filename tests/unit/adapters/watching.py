@@ -6,9 +6,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from random import Random
 
-from adapters.contract import CannotDo, Driver, DriverFault, JogMove
+from adapters.contract import Driver, JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 from sim.core.controller import SimulatedController
 
 
@@ -87,7 +88,7 @@ class Polling:
 async def at_rest(clock: Clock, controller: SimulatedController, axis: str, within_ns: int) -> int:
     """Wait until an axis stands still, and give how long that took."""
     began_ns = clock.now_ns()
-    while controller.moving(axis):
+    while controller.is_moving(axis):
         assert clock.now_ns() - began_ns <= within_ns, f"{axis} still moves after {within_ns / 1e9} s"
         await sleep_ns(clock, NS_PER_MS // 4)
     return clock.now_ns() - began_ns
@@ -129,12 +130,12 @@ class Hand:
         self.top = max(self.top, speed)
         ramp = draw.choice((self.ramp, self.ramp / 2))
         try:
-            await self.driver.jog(self.axis, JogMove(sign * speed, ramp, self.high if sign > 0 else self.low))
-        except CannotDo as refused:
-            if refused.refusal.code == "at-end":
+            await self.driver.jog_axis(self.axis, JogMove(sign * speed, ramp, self.high if sign > 0 else self.low))
+        except Refusal as refused:
+            if refused.code == "at-end":
                 assert self.controller.position(self.motor) in (self.low, self.high)
             else:
-                assert refused.refusal.code == "stopped" and not alone
+                assert refused.code == "stopped" and not alone
 
     async def _let_go(self, wait: bool) -> None:
         await self.driver.stop_axes([self.axis])
@@ -150,9 +151,9 @@ class Hand:
         assert reading.commanded_counts == self.controller.position(self.motor) and not reading.moving
 
 
-def not_found(outcome: Mapping[str, CannotDo] | BaseException, axis: str) -> str:
+def not_found(outcome: Mapping[str, Refusal] | BaseException, axis: str) -> str:
     """Why a homing of `axis` has failed, by what it gave or raised."""
     if isinstance(outcome, BaseException):
-        assert isinstance(outcome, CannotDo | DriverFault | LinkClosed), repr(outcome)
+        assert isinstance(outcome, Refusal | ControllerFault | LinkClosed), repr(outcome)
         return str(outcome)
     return str(outcome[axis])

@@ -17,12 +17,12 @@ from orchestrator.cli.jog.panel import (
 )
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import Refusal
-from orchestrator.model.report import Lease
+from orchestrator.model.messages import RefusalDetails
+from orchestrator.model.report import LeaseState
 from orchestrator.model.state import AxisState, ControllerState
 
 LEFT, RIGHT, UP, DOWN = Key("left"), Key("right"), Key("up"), Key("down")
-HOLDER = "hand-1"
+HOLDER = "manual-1"
 
 
 def axis(**more: object) -> Axis:
@@ -70,7 +70,7 @@ class Desk:
         self.panel = JogPanel(axes, releases, "lab")
         self.now_ns = NS_PER_S
         self.done: list[Action] = []
-        self.refuse: Refusal | None = None
+        self.refuse: RefusalDetails | None = None
         self.answers = True
         for controller in ("gantry", "stage"):
             self.panel.hear(state(controller), self.now_ns)
@@ -151,7 +151,7 @@ def test_a_late_answer_to_an_earlier_press_changes_nothing() -> None:
     desk.key(RIGHT)
     late = Jog("gantry.x", 10.0, True, 1)
     desk.key(Key("right", "release"), RIGHT)
-    assert desk.panel.answered(late, Refusal(code="out-of-order", text="late"), desk.now_ns) == []
+    assert desk.panel.answered(late, RefusalDetails(code="out-of-order", text="late"), desk.now_ns) == []
     assert desk.panel.direction == 1
     assert desk.panel.refusal is None
 
@@ -159,7 +159,7 @@ def test_a_late_answer_to_an_earlier_press_changes_nothing() -> None:
 def test_what_somebody_stopped_waits_for_a_key_pressed_anew() -> None:
     desk = Desk()
     desk.key(RIGHT)
-    desk.refuse = Refusal(code="not-jogging", text="gantry.x was stopped by ann", remedy="press again")
+    desk.refuse = RefusalDetails(code="not-jogging", text="gantry.x was stopped by ann", remedy="press again")
     assert desk.wait(RENEW_NS)[-1] == Halt()
     assert desk.panel.refusal == desk.refuse
     desk.refuse = None
@@ -171,7 +171,7 @@ def test_what_somebody_stopped_waits_for_a_key_pressed_anew() -> None:
 def test_the_same_on_a_terminal_that_only_repeats() -> None:
     desk = Desk(releases=False)
     desk.key(RIGHT)
-    desk.refuse = Refusal(code="not-jogging", text="stopped")
+    desk.refuse = RefusalDetails(code="not-jogging", text="stopped")
     desk.wait(RENEW_NS)
     desk.refuse = None
     desk.wait(440 * NS_PER_MS)
@@ -215,7 +215,7 @@ def test_a_window_without_the_keyboard_stops() -> None:
 
 def test_a_refused_lease_is_shown_and_not_asked_for_again_by_a_held_key() -> None:
     desk = Desk()
-    desk.refuse = Refusal(code="leased", text="gantry.x is held by ann", remedy="wait")
+    desk.refuse = RefusalDetails(code="leased", text="gantry.x is held by ann", remedy="wait")
     assert desk.key(RIGHT) == [TakeAxis("gantry.x")]
     assert desk.key(Key("right", "repeat")) == []
     assert desk.panel.refusal == desk.refuse
@@ -225,7 +225,7 @@ def test_a_refused_lease_is_shown_and_not_asked_for_again_by_a_held_key() -> Non
 def test_a_lost_lease_ends_the_motion_until_a_fresh_press() -> None:
     desk = Desk()
     desk.key(RIGHT)
-    desk.panel.lost(Refusal(code="permit", text="door-closed is missing"))
+    desk.panel.lost(RefusalDetails(code="permit", text="door-closed is missing"))
     assert desk.wait(NS_PER_S) == []
     assert desk.key(Key("right", "repeat"), Key("right", "release")) == []
     assert desk.key(RIGHT)[0] == TakeAxis("gantry.x")
@@ -316,8 +316,10 @@ def test_who_holds_an_axis() -> None:
     desk = Desk()
     desk.key(RIGHT)
     assert desk.panel.held_by("gantry.x") == "you"
-    desk.panel.hear(state(leases={"x": HOLDER, "y": "hand-2"}), desk.now_ns)
-    assert desk.panel.held_by("gantry.y") == "hand-2"
-    desk.panel.hear_lease(Lease(controller="gantry", axis="y", holder="hand-2", actor="ann", what="jog panel", epoch=1))
+    desk.panel.hear(state(leases={"x": HOLDER, "y": "manual-2"}), desk.now_ns)
+    assert desk.panel.held_by("gantry.y") == "manual-2"
+    desk.panel.hear_lease(
+        LeaseState(controller="gantry", axis="y", holder="manual-2", actor="ann", what="jog panel", epoch=1)
+    )
     assert desk.panel.held_by("gantry.y") == "ann (jog panel)"
     assert desk.panel.held_by("stage.x") == ""

@@ -10,7 +10,7 @@ from orchestrator.cli.jog.panel import JogPanel
 from orchestrator.cli.jog.screen import STALE_NS, screen
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import Refusal
+from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.state import AxisState, ControllerState, EstopLatch
 
 LIMITS = {"velocity": 200, "acceleration": 1000}
@@ -77,14 +77,14 @@ def test_an_axis_that_is_off_and_does_not_know_where_it_is() -> None:
 def test_a_silent_controller_is_not_shown_as_if_it_were_known() -> None:
     lines = shown(panel(), STALE_NS + 1)
     assert "silent" in next(line for line in lines if "▸" in line)
-    assert any("nothing heard for 2 s" in line for line in lines)
+    assert any("no state received for 2 s" in line for line in lines)
 
 
 def test_refusals_and_estops_with_their_remedies() -> None:
     made = panel()
     latch = EstopLatch(event="e", actor="ann", reason="hand in the machine", utc="")
     made.hear(made.states["gantry"].model_copy(update={"estop": latch}), 0)
-    made.lost(Refusal(code="leased", text="gantry.a0 is in use by bob", remedy="ask them"))
+    made.lost(RefusalDetails(code="leased", text="gantry.a0 is in use by bob", remedy="ask them"))
     text = "\n".join(shown(made))
     assert "E-STOP by ann: hand in the machine → `tutti reset` when it is safe" in text
     assert "refused: gantry.a0 is in use by bob (leased) → ask them" in text

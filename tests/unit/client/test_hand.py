@@ -9,12 +9,12 @@ import pytest
 from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.bus.memory.bus import MemoryNet
-from orchestrator.client import Refused, Tutti
-from orchestrator.client.manual import Hand
+from orchestrator.client import Refusal, Tutti
+from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.messages import JogRequest, Refusal, Reply
-from orchestrator.model.service import GiveBack, Take, Taken
+from orchestrator.model.messages import JogRequest, RefusalDetails, Reply
+from orchestrator.model.service import AcquireAxes, AxesAcquired, ReleaseAxes
 
 
 class Stage:
@@ -24,8 +24,8 @@ class Stage:
         self.clock = clock
         self.net = MemoryNet(clock, seed=3)
         self.keys = Keys("lab")
-        self.taken: list[Take] = []
-        self.returned: list[GiveBack] = []
+        self.taken: list[AcquireAxes] = []
+        self.returned: list[ReleaseAxes] = []
         self.jogs: list[tuple[str, JogRequest]] = []
         self.refuse: dict[str, str] = {}
         self.order_s = 0.0
@@ -34,8 +34,8 @@ class Stage:
 
     async def start(self) -> Tutti:
         self.coordinator = self.net.join("coordinator")
-        await self.coordinator.serve(self.keys.svc("take"), self._take)
-        await self.coordinator.serve(self.keys.svc("release"), self._release)
+        await self.coordinator.serve(self.keys.svc("acquire-axes"), self._take)
+        await self.coordinator.serve(self.keys.svc("release-axes"), self._release)
         for name in ("gantry", "stage"):
             await self.net.join(name).serve(self.keys.cmd(name, "jog"), self._jog(name))
         return Tutti(self.net.join("client"), "lab", "somebody", self._new_id)
@@ -47,17 +47,17 @@ class Stage:
         self._ids += 1
         return f"{self._ids:08x}"
 
-    def _refusal(self, verb: str) -> Refusal | None:
+    def _refusal(self, verb: str) -> RefusalDetails | None:
         code = self.refuse.get(verb)
-        return None if code is None else Refusal(code=code, text=f"{verb}: {code}")
+        return None if code is None else RefusalDetails(code=code, text=f"{verb}: {code}")
 
     async def _take(self, sample: Sample) -> bytes:
-        request = Take.model_validate_json(sample.payload)
+        request = AcquireAxes.model_validate_json(sample.payload)
         self.taken.append(request)
-        return Taken(refused=self._refusal("take"), axes=request.axes).to_json()
+        return AxesAcquired(refused=self._refusal("take"), axes=request.axes).to_json()
 
     async def _release(self, sample: Sample) -> bytes:
-        self.returned.append(GiveBack.model_validate_json(sample.payload))
+        self.returned.append(ReleaseAxes.model_validate_json(sample.payload))
         return Reply().to_json()
 
     def _jog(self, name: str) -> Callable[[Sample], Coroutine[Any, Any, bytes]]:
@@ -80,14 +80,14 @@ def on_stage(test: Callable[[Stage, Tutti], Coroutine[Any, Any, None]]) -> None:
     run_virtual(main)
 
 
-def hand_of(tutti: Tutti) -> Hand:
-    return tutti.by_hand(["gantry.x", "stage.u"], what="alignment")
+def hand_of(tutti: Tutti) -> ManualControl:
+    return tutti.manual_control(["gantry.x", "stage.u"], what="alignment")
 
 
 def test_the_lease_is_taken_renewed_and_given_back() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         began_ns = stage.clock.now_ns()
-        async with tutti.by_hand(["gantry.x"], what="alignment", ttl_s=3.0) as hand:
+        async with tutti.manual_control(["gantry.x"], what="alignment", ttl_s=3.0) as hand:
             assert hand.axes == ["gantry.x"]
             await asyncio.sleep(4.5)
         assert len(stage.taken) == 5
@@ -132,7 +132,7 @@ def test_another_speed_that_takes_long_is_renewed_meanwhile() -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0})
             stage.order_s = 0.8
-            await hand.renew({"gantry.x": 2.0})
+            await hand.renew_jog({"gantry.x": 2.0})
             told = [(each.renew, each.velocities["x"]) for each in stage.of("gantry")]
             assert told == [(False, 5.0), *[(True, 2.0)] * 14]
 
@@ -174,10 +174,10 @@ def test_each_taking_has_a_holder_of_its_own() -> None:
 def test_who_is_refused_holds_nothing() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         stage.refuse["take"] = "leased"
-        with pytest.raises(Refused) as error:
+        with pytest.raises(Refusal) as error:
             async with hand_of(tutti):
                 raise AssertionError
-        assert error.value.refusal.code == "leased"
+        assert error.value.code == "leased"
         assert stage.returned == []
 
     on_stage(test)
@@ -187,10 +187,10 @@ def test_a_jog_goes_to_each_controller_at_once_and_in_order() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0, "gantry.y": -1.0, "stage.u": 0.5})
-            await hand.renew()
-            await hand.renew({"gantry.x": 6.0})
+            await hand.renew_jog()
+            await hand.renew_jog({"gantry.x": 6.0})
             await hand.jog({"gantry.y": 0.0})
-            await hand.renew(valid_ms=100)
+            await hand.renew_jog(valid_ms=100)
             await hand.stop()
             count = len(stage.jogs)
             await hand.stop()
@@ -218,9 +218,9 @@ def test_one_that_refuses_stops_the_others() -> None:
     async def test(stage: Stage, tutti: Tutti) -> None:
         async with hand_of(tutti) as hand:
             stage.refuse["stage"] = "not-enabled"
-            with pytest.raises(Refused) as error:
+            with pytest.raises(Refusal) as error:
                 await hand.jog({"gantry.x": 5.0, "stage.u": 1.0})
-            assert error.value.refusal.code == "not-enabled"
+            assert error.value.code == "not-enabled"
             assert stage.of("gantry")[-1].velocities == {"x": 0.0}
             assert hand.lost is None
 
@@ -235,7 +235,7 @@ def test_a_lease_that_ended_early_is_told_and_moves_nothing_more() -> None:
             assert hand.lost is not None
             assert hand.lost.code == "permit"
             taken, sent = len(stage.taken), len(stage.jogs)
-            with pytest.raises(Refused, match="permit"):
+            with pytest.raises(Refusal, match="permit"):
                 await hand.jog({"gantry.x": 5.0})
             await asyncio.sleep(5)
             assert (len(stage.taken), len(stage.jogs)) == (taken, sent)
@@ -248,8 +248,8 @@ def test_an_adapter_that_knows_no_lease_ends_it_here() -> None:
         async with hand_of(tutti) as hand:
             await hand.jog({"gantry.x": 5.0})
             stage.refuse["gantry"] = "not-leased"
-            with pytest.raises(Refused):
-                await hand.renew()
+            with pytest.raises(Refusal):
+                await hand.renew_jog()
             assert hand.lost is not None
             # What has stopped already needs no stop: this is no refusal.
             await hand.stop()

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from orchestrator.clock.executor import beside
+from orchestrator.clock.executor import run_while_recording
 
 
 def test_what_is_told_is_on_disk_before_anything_comes_of_what_was_done() -> None:
@@ -25,16 +25,16 @@ def test_what_is_told_is_on_disk_before_anything_comes_of_what_was_done() -> Non
         return "done"
 
     async def main() -> None:
-        assert await beside(tell(), do()) == "done"
+        assert await run_while_recording(tell(), do()) == "done"
         assert said == ["began", "told"]
         with pytest.raises(KeyError):
-            await beside(tell(), do(KeyError("done")))
+            await run_while_recording(tell(), do(KeyError("done")))
         assert said == ["began", "told"] * 2
         with pytest.raises(OSError, match="disk is full"):
-            await beside(tell(OSError("disk is full")), do())
+            await run_while_recording(tell(OSError("disk is full")), do())
         with pytest.raises(OSError, match="disk is full"):
-            await beside(tell(OSError("disk is full")), do(KeyError("done")))
-        doing = asyncio.ensure_future(beside(tell(), asyncio.sleep(9)))
+            await run_while_recording(tell(OSError("disk is full")), do(KeyError("done")))
+        doing = asyncio.ensure_future(run_while_recording(tell(), asyncio.sleep(9)))
         await asyncio.sleep(0)
         doing.cancel()
         with pytest.raises(asyncio.CancelledError):

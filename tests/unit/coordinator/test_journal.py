@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from orchestrator.clock.executor import Threaded
-from orchestrator.coordinator.journal.journal import Again, HasEnded, Journal, JournalError, Overtaken
+from orchestrator.coordinator.journal.journal import EpochOvertaken, JobHasEnded, Journal, JournalError, RetryOrigin
 from orchestrator.coordinator.journal.schema import MIGRATIONS, SCHEMA, VERSION
-from orchestrator.model.files import parse
+from orchestrator.model.files import parse_document
 from orchestrator.model.job import Job
-from orchestrator.model.queue import Terms
-from orchestrator.model.report import ENDED, JobReport, JobState, Transition
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, JobTransition
 
-JOB = parse("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
+JOB = parse_document("schema: tutti.job/1\nname: scan\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
 
 
 def utc(day: int) -> str:
@@ -33,17 +33,17 @@ def end(journal: Journal, job_id: str, state: JobState = "done") -> None:
         submitted_utc=utc(1),
         max_start_skew_ns=1,
     )
-    journal.change(job_id, Transition(state=state, reason="", actor="a", utc=utc(2)), report)
+    journal.record_transition(job_id, JobTransition(state=state, reason="", actor="a", utc=utc(2)), report)
 
 
 def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
     path = tmp_path / "state" / "journal.db"
     journal = Journal(path)
-    terms = Terms(priority=3, repeat=2, after="b", at="2026-12-01T12:00:00+02:00", missed="run", held=True)
-    assert journal.accept("a", "key", JOB, utc(1), terms, Again("z", 1)) == ("a", True)
-    assert journal.accept("b", "key", JOB, utc(2)) == ("a", False)
+    terms = QueueTerms(priority=3, repeat=2, after="b", at="2026-12-01T12:00:00+02:00", missed="run", held=True)
+    assert journal.accept_job("a", "key", JOB, utc(1), terms, RetryOrigin("z", 1)) == ("a", True)
+    assert journal.accept_job("b", "key", JOB, utc(2)) == ("a", False)
     # Another process sees it at once, whatever becomes of this one.
-    row = Journal(path).row("a")
+    row = Journal(path).load_record("a")
     assert row is not None
     assert row.terms == terms
     assert (row.at_utc, row.due, row.held_by) == ("2026-12-01T10:00:00.000000Z", False, "unknown")
@@ -55,12 +55,12 @@ def test_jobs_are_found_by_state_name_and_time() -> None:
     journal = Journal(":memory:")
     for number in range(1, 10):
         name = "100% _scan'" if number % 2 else "fill"
-        journal.accept(str(number), f"k{number}", JOB.model_copy(update={"name": name}), utc(number))
+        journal.accept_job(str(number), f"k{number}", JOB.model_copy(update={"name": name}), utc(number))
     end(journal, "3", "failed")
 
     def found(limit: int = 99, **wanted: str) -> list[str]:
-        rows, total = journal.find(limit, **wanted)  # type: ignore[arg-type]
-        assert total == len(journal.find(99, **wanted)[0])  # type: ignore[arg-type]
+        rows, total = journal.find_jobs(limit, **wanted)  # type: ignore[arg-type]
+        assert total == len(journal.find_jobs(99, **wanted)[0])  # type: ignore[arg-type]
         return [row.id for row in rows]
 
     assert found(2) == ["9", "8"]
@@ -73,50 +73,50 @@ def test_jobs_are_found_by_state_name_and_time() -> None:
 
 def test_what_is_not_queued_any_more_can_not_be_brought_back() -> None:
     journal = Journal(":memory:")
-    journal.accept("a", "a", JOB, utc(1))
+    journal.accept_job("a", "a", JOB, utc(1))
     end(journal, "a", "cancelled")
-    late = Transition(state="queued", reason="held", actor="b", utc=utc(3))
-    journal.hold(["a"], "b", late)
-    journal.come_due("a", late)
-    journal.reorder("a", 5, {"a": 9}, late)
-    row = journal.row("a")
+    late = JobTransition(state="queued", reason="held", actor="b", utc=utc(3))
+    journal.hold_jobs(["a"], "b", late)
+    journal.mark_due("a", late)
+    journal.reorder_jobs("a", 5, {"a": 9}, late)
+    row = journal.load_record("a")
     assert row is not None
     assert (row.state, row.held_by, row.priority, row.place) == ("cancelled", "", 0, 1)
-    assert [each.state for each in journal.transitions("a")] == ["queued", "cancelled"]
+    assert [each.state for each in journal.list_transitions("a")] == ["queued", "cancelled"]
 
 
 def test_old_jobs_are_forgotten_with_all_that_belongs_to_them() -> None:
     journal = Journal(":memory:")
     for number in range(1, 11):
-        journal.accept(str(number), f"k{number}", JOB, utc(number))
-        journal.decide(str(number), 0, 1, 1, "gantry", utc(number))
+        journal.accept_job(str(number), f"k{number}", JOB, utc(number))
+        journal.record_decision(str(number), 0, 1, 1, "gantry", utc(number))
         if number not in (2, 9):
             end(journal, str(number))
-    journal.accept("x", "x", JOB, utc(11), Terms(after="3"))
-    assert journal.prune(utc(8), keep=5) == 4
+    journal.accept_job("x", "x", JOB, utc(11), QueueTerms(after="3"))
+    assert journal.prune_jobs(utc(8), keep=5) == 4
     # 2 has not ended, x comes after 3, and of the newest five none goes.
-    assert sorted(row.id for row in journal.find(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
-    assert journal.report("4") is None
-    assert journal.decisions("4") == []
-    assert journal.transitions("4") == []
-    assert journal.accept("4", "k4", JOB, utc(12)) == ("4", True)
-    assert journal.prune(utc(30), keep=1000) == 0
+    assert sorted(row.id for row in journal.find_jobs(99)[0]) == sorted(["2", "3", "7", "8", "9", "10", "x"])
+    assert journal.load_report("4") is None
+    assert journal.list_decisions("4") == []
+    assert journal.list_transitions("4") == []
+    assert journal.accept_job("4", "k4", JOB, utc(12)) == ("4", True)
+    assert journal.prune_jobs(utc(30), keep=1000) == 0
 
 
 def test_what_has_ended_stays_so_and_an_older_reign_is_over() -> None:
     journal = Journal(":memory:")
     epoch = journal.take_epoch(0)
-    journal.accept("1", "k1", JOB, utc(1))
+    journal.accept_job("1", "k1", JOB, utc(1))
     end(journal, "1")
-    with pytest.raises(HasEnded, match="job 1 is done already"):
+    with pytest.raises(JobHasEnded, match="job 1 is done already"):
         end(journal, "1", "failed")
-    with pytest.raises(HasEnded):
-        journal.decide("1", 0, epoch, 1, "gantry", utc(2))
-    assert journal.decisions("1") == [] and [each.state for each in journal.transitions("1")][-1] == "done"
-    journal.require_reign(epoch)
+    with pytest.raises(JobHasEnded):
+        journal.record_decision("1", 0, epoch, 1, "gantry", utc(2))
+    assert journal.list_decisions("1") == [] and [each.state for each in journal.list_transitions("1")][-1] == "done"
+    journal.require_latest_epoch(epoch)
     journal.take_epoch(0)
-    with pytest.raises(Overtaken, match="epoch 1 is over"):
-        journal.require_reign(epoch)
+    with pytest.raises(EpochOvertaken, match="epoch 1 is over"):
+        journal.require_latest_epoch(epoch)
 
 
 @pytest.mark.parametrize("version", range(1, VERSION))
@@ -132,15 +132,20 @@ def test_the_way_from_older_versions(tmp_path: Path, version: int) -> None:
             " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             values,
         )
+    if version >= 3:
+        old.execute("UPDATE jobs SET place = number")
     old.commit()
     old.close()
     journal = Journal(path)
-    assert [(row.id, row.place, row.terms) for row in journal.unended()] == [("j2", 2, Terms()), ("j3", 3, Terms())]
-    assert journal.accept("x", "k1", JOB, utc(4)) == ("j1", False)
-    assert journal.accept("j4", "k4", JOB, utc(4)) == ("j4", True)
+    assert [(row.id, row.place, row.terms) for row in journal.list_unfinished()] == [
+        ("j2", 2, QueueTerms()),
+        ("j3", 3, QueueTerms()),
+    ]
+    assert journal.accept_job("x", "k1", JOB, utc(4)) == ("j1", False)
+    assert journal.accept_job("j4", "k4", JOB, utc(4)) == ("j4", True)
     assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
     journal.close()
-    assert [row.id for row in Journal(path).unended()] == ["j2", "j3", "j4"]
+    assert [row.id for row in Journal(path).list_unfinished()] == ["j2", "j3", "j4"]
 
 
 def refused(path: Path) -> str:
@@ -163,14 +168,14 @@ def test_what_is_no_journal_of_ours_is_not_touched(tmp_path: Path) -> None:
     db.execute("CREATE TABLE meta (mine)")
     db.commit()
     db.close()
-    assert "is a data base, but no journal" in refused(other)
+    assert "is a database, but not a journal" in refused(other)
     newer = tmp_path / "newer.db"
     db = sqlite3.connect(newer)
     db.execute(f"PRAGMA user_version={VERSION + 1}")
     db.commit()
     db.close()
     assert f"schema {VERSION + 1} is newer than this Tutti's {VERSION}" in refused(newer)
-    with pytest.raises(JournalError, match="can not be used"):
+    with pytest.raises(JournalError, match="cannot be used"):
         Journal(tmp_path)
 
 
@@ -178,14 +183,14 @@ def test_a_damaged_journal_is_said_and_not_written_to(tmp_path: Path) -> None:
     path = tmp_path / "journal.db"
     journal = Journal(path)
     for number in range(300):
-        journal.accept(str(number), str(number), JOB, utc(1))
+        journal.accept_job(str(number), str(number), JOB, utc(1))
     journal.close()
     data = bytearray(path.read_bytes())
     assert len(data) > 8 * 4096
     for page in range(2, 8):
         data[page * 4096 : page * 4096 + 64] = bytes(64)
     path.write_bytes(data)
-    assert "can not be used" in refused(path)
+    assert "cannot be used" in refused(path)
 
 
 def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
@@ -196,28 +201,28 @@ def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
     accepted = 0
     with pytest.raises(JournalError, match="database or disk is full") as caught:
         while True:
-            journal.accept(str(accepted), str(accepted), JOB, utc(1))
+            journal.accept_job(str(accepted), str(accepted), JOB, utc(1))
             accepted += 1
-    assert "make room" in caught.value.remedy
+    assert "free space" in caught.value.remedy
     # Nothing that was refused is half there, and all goes on when there is room.
-    assert len(journal.unended()) == accepted
+    assert len(journal.list_unfinished()) == accepted
     with pytest.raises(JournalError):
-        journal.accept("x", "x", JOB, utc(1))
+        journal.accept_job("x", "x", JOB, utc(1))
     db.execute("PRAGMA max_page_count=100000")
-    assert journal.accept("x", "x", JOB, utc(1)) == ("x", True)
+    assert journal.accept_job("x", "x", JOB, utc(1)) == ("x", True)
     db.execute("PRAGMA query_only=ON")
     with pytest.raises(JournalError, match="readonly database"):
-        journal.accept("y", "y", JOB, utc(1))
-    assert len(journal.unended()) == accepted + 1
-    assert {row.state for row in journal.unended()}.isdisjoint(ENDED)
+        journal.accept_job("y", "y", JOB, utc(1))
+    assert len(journal.list_unfinished()) == accepted + 1
+    assert {row.state for row in journal.list_unfinished()}.isdisjoint(FINISHED_STATES)
 
 
 def test_a_body_that_can_not_be_read_names_the_job() -> None:
     journal = Journal(":memory:")
-    journal.accept("a", "a", JOB, utc(1))
+    journal.accept_job("a", "a", JOB, utc(1))
     journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
-    with pytest.raises(JournalError, match="the Job of job a can not be read"):
-        journal.job("a")
+    with pytest.raises(JournalError, match="the Job of job a cannot be read"):
+        journal.load_job("a")
 
 
 def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
@@ -227,7 +232,7 @@ def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
 
     def slow() -> None:
         go_on.wait(30)
-        journal.require_reign(1)
+        journal.require_latest_epoch(1)
         used.append("read")
 
     async def leave() -> None:
@@ -237,7 +242,7 @@ def test_it_is_closed_behind_the_calls_that_still_use_it() -> None:
         await reading
         await closing
         with pytest.raises(JournalError, match="closed"):
-            await runs(journal.require_reign, 1)
+            await runs(journal.require_latest_epoch, 1)
 
     asyncio.run(leave())
     assert used == ["read"]

@@ -2,17 +2,17 @@
 
 from random import Random
 
-from orchestrator.coordinator.jobs.queue import Waiting, choose, in_order, needs_of
-from orchestrator.coordinator.journal.journal import JobRow
-from orchestrator.model.files import parse
+from orchestrator.coordinator.jobs.queue import WaitingJob, choose_jobs, find_needed_controllers, sort_waiting
+from orchestrator.coordinator.journal.journal import JobRecord
+from orchestrator.model.files import parse_document
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.job import Job
 
-JOB = parse("schema: tutti.job/1\nname: test\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
+JOB = parse_document("schema: tutti.job/1\nname: test\nsteps: [{do: dwell, duration: 1 s}]\n", Job, "test")
 
 
-def waiting(name: str, place: int, priority: int = 0, **fields: object) -> Waiting:
-    row = JobRow(
+def waiting(name: str, place: int, priority: int = 0, **fields: object) -> WaitingJob:
+    row = JobRecord(
         id=name,
         name="scan",
         actor="anna",
@@ -30,18 +30,18 @@ def waiting(name: str, place: int, priority: int = 0, **fields: object) -> Waiti
         origin=None,
         from_step=0,
     )
-    return Waiting(row._replace(**fields), JOB)  # type: ignore[arg-type]
+    return WaitingJob(row._replace(**fields), JOB)  # type: ignore[arg-type]
 
 
-def ids(begin: list[Waiting]) -> list[str]:
+def ids(begin: list[WaitingJob]) -> list[str]:
     return [each.row.id for each in begin]
 
 
 def test_what_an_earlier_one_waits_for_is_kept_for_it() -> None:
     a, b, c, d = (waiting(name, place) for place, name in enumerate("abcd"))
     queue = [(a, {"x", "y"}), (b, {"y"}), (c, {"z"}), (d, set[str]())]
-    choice = choose([(each, frozenset(needs)) for each, needs in queue], {"x": "in use by ben (alignment)"})
-    assert ids(choice.begin) == ["c", "d"]
+    choice = choose_jobs([(each, frozenset(needs)) for each, needs in queue], {"x": "in use by ben (alignment)"})
+    assert ids(choice.ready_jobs) == ["c", "d"]
     assert choice.reasons == {
         "a": "waits for x: in use by ben (alignment)",
         "b": "waits for y: job a 'scan' of anna comes first",
@@ -52,21 +52,21 @@ def test_what_is_kept_back_is_in_nobodys_way() -> None:
     held, timed, late = waiting("a", 0, held_by="ben"), waiting("b", 1, due=False, at_utc="10:00"), waiting("c", 2)
     after = waiting("d", 3)
     after.pending = "q"
-    choice = choose([(each, frozenset("x")) for each in (held, timed, after, late)], {})
-    assert ids(choice.begin) == ["c"]
+    choice = choose_jobs([(each, frozenset("x")) for each in (held, timed, after, late)], {})
+    assert ids(choice.ready_jobs) == ["c"]
     assert choice.reasons == {"a": "held by ben", "b": "begins at 10:00", "d": "begins when job q is done"}
 
 
 def test_priority_comes_before_place() -> None:
     queue = {each.row.id: each for each in (waiting("a", 1), waiting("b", 2, 1), waiting("c", 0), waiting("d", 3, -1))}
-    assert ids(in_order(queue)) == ["b", "c", "a", "d"]
+    assert ids(sort_waiting(queue)) == ["b", "c", "a", "d"]
 
 
 def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve() -> None:
     for seed in range(300):
         draw = Random(seed)
         controllers = "vwxyz"[: draw.randint(1, 5)]
-        queue: list[tuple[Waiting, frozenset[str]]] = []
+        queue: list[tuple[WaitingJob, frozenset[str]]] = []
         running: dict[str, frozenset[str]] = {}
         begun: list[str] = []
         for turn in range(60):
@@ -77,8 +77,8 @@ def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve() -
                 if draw.random() < 0.3:
                     del running[name]
             busy = {each: name for name, needs in running.items() for each in needs}
-            choice = choose(queue, busy)
-            starts = set(ids(choice.begin))
+            choice = choose_jobs(queue, busy)
+            starts = set(ids(choice.ready_jobs))
             for place, (each, needs) in enumerate(queue):
                 assert (each.row.id in starts) != (each.row.id in choice.reasons)
                 if each.row.id in starts:
@@ -87,18 +87,18 @@ def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve() -
                 else:
                     assert needs & (busy.keys() | {c for _, before in queue[:place] for c in before})
             running |= {each.row.id: needs for each, needs in queue if each.row.id in starts}
-            begun += ids(choice.begin)
+            begun += ids(choice.ready_jobs)
             queue = [(each, needs) for each, needs in queue if each.row.id not in starts]
         while queue:
-            choice = choose(queue, {})
-            assert choice.begin, "the first one can always begin when nothing runs"
-            begun += ids(choice.begin)
-            queue = [(each, needs) for each, needs in queue if each not in choice.begin]
+            choice = choose_jobs(queue, {})
+            assert choice.ready_jobs, "the first one can always begin when nothing runs"
+            begun += ids(choice.ready_jobs)
+            queue = [(each, needs) for each, needs in queue if each not in choice.ready_jobs]
         assert sorted(begun, key=int) == [str(turn) for turn in range(40)]
 
 
 def test_a_wire_that_may_start_a_step_belongs_to_one_job() -> None:
-    fleet = parse(
+    fleet = parse_document(
         """
 schema: tutti.fleet/1
 fleet: wired
@@ -114,7 +114,11 @@ wiring: [{from: a.go, to: [b.go]}]
     )
 
     def needs(steps: str) -> set[str]:
-        return set(needs_of(fleet, parse(f"schema: tutti.job/1\nname: t\nsteps: {steps}\n", Job, "test").steps))
+        return set(
+            find_needed_controllers(
+                fleet, parse_document(f"schema: tutti.job/1\nname: t\nsteps: {steps}\n", Job, "test").steps
+            )
+        )
 
     assert needs("[{do: move, to: {b.x: 1}}]") == {"a", "b"}
     assert needs("[{do: move, to: {a.x: 1, c.x: 1}}]") == {"a", "c"}

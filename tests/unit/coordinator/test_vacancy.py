@@ -9,11 +9,11 @@ from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LISTEN_NS
-from orchestrator.coordinator.leadership.standby import vacancy
-from orchestrator.model.messages import Reign
+from orchestrator.coordinator.leadership.leadership import HEARTBEAT_NS, LEADER_TIMEOUT_NS
+from orchestrator.coordinator.leadership.standby import wait_for_vacancy
+from orchestrator.model.messages import LeaderHeartbeat
 
-REIGN = Reign(
+REIGN = LeaderHeartbeat(
     fleet="demo",
     epoch=1,
     coordinator="c1",
@@ -23,7 +23,7 @@ REIGN = Reign(
     origin_host_ns=0,
     utc="2026-01-01T00:00:00Z",
 )
-BEAT = Sample("tutti/v1/demo/reign", REIGN.to_json())
+BEAT = Sample("tutti/v1/demo/leader", REIGN.to_json())
 STOPPED_NS = 2 * NS_PER_S
 
 
@@ -52,7 +52,7 @@ def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
 
         drowsy: Any = Drowsy(clock, NS_PER_S)
         bus: Any = SimpleNamespace(subscribe=subscribe)
-        standing = asyncio.ensure_future(vacancy(bus, Keys("demo"), drowsy))
+        standing = asyncio.ensure_future(wait_for_vacancy(bus, Keys("demo"), drowsy))
         # Its bus wakes some time after it: the heartbeats of the time between are gone.
         for _ in range(50):
             await sleep_ns(clock, HEARTBEAT_NS)
@@ -61,6 +61,6 @@ def test_a_standby_that_was_stopped_listens_before_it_takes_over() -> None:
         assert not standing.done()
         last_ns = clock.now_ns()
         await standing
-        assert LISTEN_NS <= clock.now_ns() - last_ns <= LISTEN_NS + HEARTBEAT_NS
+        assert LEADER_TIMEOUT_NS <= clock.now_ns() - last_ns <= LEADER_TIMEOUT_NS + HEARTBEAT_NS
 
     run_virtual(main)

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.vectors import simulator
-from sim.link.arguments import PtyPlace, TcpPlace, parse_arguments
-from sim.link.world import WorldRefused, change_world
+from sim.core.vectors import find_simulator
+from sim.link.arguments import PtyAddress, TcpAddress, parse_arguments
+from sim.link.world import EnvironmentRefused, change_environment
 
 USUAL = ["--model", "smc4000", "--name", "gantry"]
 
@@ -15,12 +15,12 @@ USUAL = ["--model", "smc4000", "--name", "gantry"]
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("tcp:127.0.0.1:2300", TcpPlace("127.0.0.1", 2300)),
-        ("tcp:[::1]:0", TcpPlace("::1", 0)),
-        ("pty:/tmp/port", PtyPlace(Path("/tmp/port"))),
+        ("tcp:127.0.0.1:2300", TcpAddress("127.0.0.1", 2300)),
+        ("tcp:[::1]:0", TcpAddress("::1", 0)),
+        ("pty:/tmp/port", PtyAddress(Path("/tmp/port"))),
     ],
 )
-def test_places(text: str, place: TcpPlace | PtyPlace) -> None:
+def test_places(text: str, place: TcpAddress | PtyAddress) -> None:
     assert parse_arguments([*USUAL, "--listen", text])[0].listen == place
 
 
@@ -61,17 +61,17 @@ def test_what_is_wrong_is_said_in_one_line(wrong: list[str], capsys: pytest.Capt
     ],
 )
 def test_a_line_that_can_not_be_acted_upon_says_why(line: str, named: str) -> None:
-    controller = simulator("smc4000").build(EventQueue(), {})
-    with pytest.raises(WorldRefused, match=named):
-        change_world(controller, line)
+    controller = find_simulator("smc4000").build_controller(EventQueue(), {})
+    with pytest.raises(EnvironmentRefused, match=named):
+        change_environment(controller, line)
 
 
 def test_the_world_is_changed() -> None:
-    controller = simulator("smc4000").build(EventQueue(), {})
+    controller = find_simulator("smc4000").build_controller(EventQueue(), {})
     for line in (
         '{"power": false}',
         '{"power": true}',
         '{"input": [1, false]}',
         '{"limit": ["X", "forward"], "stall": ["X", true]}',
     ):
-        change_world(controller, line)
+        change_environment(controller, line)

@@ -15,13 +15,13 @@ def test_lines_arrive_each_at_its_own_end_and_in_order() -> None:
     async def test(clock: VirtualClock) -> None:
         line = PacedLine(clock, CHAR_NS, lambda data: arrived.append((clock.now_ns(), data)))
         begun_ns = clock.now_ns()
-        line.put_lines(b"AB\rCDE\rF")
+        line.queue_lines(b"AB\rCDE\rF")
         assert line.waiting == 8
         await sleep_until_ns(clock, begun_ns + 5 * CHAR_NS)
-        line.put(b"G")
+        line.queue_bytes(b"G")
         await asyncio.sleep(1)
         assert line.waiting == 0
-        line.put(b"H")
+        line.queue_bytes(b"H")
         await asyncio.sleep(1)
         assert [(at_ns - begun_ns, data) for at_ns, data in arrived[:-1]] == [
             (3 * CHAR_NS, b"AB\r"),
@@ -40,15 +40,15 @@ def test_what_a_sender_without_power_had_still_to_send_is_lost() -> None:
     async def test(clock: VirtualClock) -> None:
         line = PacedLine(clock, CHAR_NS, lambda data: arrived.append((clock.now_ns() - begun_ns, data)))
         begun_ns = clock.now_ns()
-        line.put(b"AB\r")
-        line.put(b"CDEFG\r")
-        line.put(b"HI\r")
+        line.queue_bytes(b"AB\r")
+        line.queue_bytes(b"CDEFG\r")
+        line.queue_bytes(b"HI\r")
         await sleep_until_ns(clock, begun_ns + 5 * CHAR_NS)
         silent_ns = clock.now_ns()
-        line.fell_silent(silent_ns)
+        line.cut_transmission(silent_ns)
         assert line.waiting == 0
-        line.put(b"J")
-        line.fell_silent(silent_ns)
+        line.queue_bytes(b"J")
+        line.cut_transmission(silent_ns)
         await asyncio.sleep(1)
 
     run_virtual(test)

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import pytest
 
-from orchestrator.model.fleet import Axis, Limits, SoftLimits
+from orchestrator.model.fleet import Axis, AxisLimits, SoftLimits
 from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 
@@ -27,7 +27,7 @@ def test_soft_limits_round_inwards_whatever_the_sign() -> None:
         unit=Unit.MM,
         scale=Fraction(10, 3),
         sign=-1,
-        limits=Limits(velocity=1, acceleration=1),
+        limits=AxisLimits(velocity=1, acceleration=1),
         soft_limits=SoftLimits(min=0, max=1),
     )
     assert axis.soft_limits_counts == (-3, 0)
@@ -41,7 +41,7 @@ def test_profile_reaches_its_extremes() -> None:
         a = [draw.uniform(-5, 5) for _ in range(4)]
         j = [draw.uniform(-20, 20) for _ in range(4)]
         profile = Profile(100, 100, draw.choice([-3.0, 7.0]), t, a, j)
-        at = profile.evaluator()
+        at = profile.make_evaluator()
         seen = [at(k * profile.duration_s / 2000) for k in range(2000)]
         low, high = profile.extent_counts
         assert min(p.position for p in seen) + 100 >= low - 1e-9

@@ -4,7 +4,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from orchestrator.model.job import Step
-from orchestrator.model.step_words import step_words
+from orchestrator.model.step_words import describe_step
 
 STEPS = TypeAdapter[Step](Step)
 
@@ -23,4 +23,4 @@ STEPS = TypeAdapter[Step](Step)
     ],
 )
 def test_a_step_says_what_its_file_says(plain: dict[str, object], text: str) -> None:
-    assert step_words(STEPS.validate_python(plain)) == text
+    assert describe_step(STEPS.validate_python(plain)) == text

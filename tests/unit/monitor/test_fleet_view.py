@@ -6,12 +6,12 @@ from rich.console import Console
 
 from orchestrator.bus.base import Sample
 from orchestrator.bus.keys import Keys
-from orchestrator.model.report import JobState, Progress
+from orchestrator.model.report import JobProgress, JobState
 from orchestrator.monitor.fleet_view import JOBS_SHOWN, LiveView
 
 
 def progress(job_id: str, state: JobState, step: int = 0) -> Sample:
-    said = Progress(
+    said = JobProgress(
         job_id=job_id,
         name="scan",
         actor="anna",

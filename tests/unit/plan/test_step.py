@@ -39,9 +39,9 @@ def test_random_steps_hold_their_limits_and_end_exactly(sync: str, ramps: str) -
             assert profile.end_counts == move.target_counts
             assert profile.peak_velocity <= move.velocity * speed * (1 + 1e-6)
             assert profile.peak_acceleration <= move.acceleration * (1 + 1e-6)
-            assert profile.at(profile.duration_s + 1).position == move.target_counts - move.start_counts
+            assert profile.state_at(profile.duration_s + 1).position == move.target_counts - move.start_counts
             distance = abs(move.target_counts - move.start_counts)
-            just_before = profile.at(profile.duration_s * (1 - 1e-9)).position
+            just_before = profile.state_at(profile.duration_s * (1 - 1e-9)).position
             assert abs(just_before - (move.target_counts - move.start_counts)) <= 1e-5 * max(distance, 1)
             if sync != "none":
                 assert profile.duration_s == pytest.approx(plan.duration_s, rel=1e-9)
@@ -54,7 +54,7 @@ def test_lines_are_straight() -> None:
         plan = plan_step(moves, "phase")
         for k in range(1, 20):
             t = plan.duration_s * k / 20
-            fractions = [plan.profiles[m.axis].at(t).position / (m.target_counts - m.start_counts) for m in moves]
+            fractions = [plan.profiles[m.axis].state_at(t).position / (m.target_counts - m.start_counts) for m in moves]
             assert max(fractions) - min(fractions) < 1e-9
 
 

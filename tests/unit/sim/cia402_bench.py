@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from orchestrator.clock.queue import EventQueue
 from orchestrator.link.can import CanFrame, FrameReader, encode
 from sim.cia402 import CIA402
-from sim.cia402.unit import DriveUnit
-from sim.core.controller import Branch, Timing
+from sim.cia402.unit import SimulatedDrive
+from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.link.can_card import CanSegment
 
@@ -35,11 +35,11 @@ class CanBench:
         self.clock = EventQueue()
         each = [options or {}] * count if not isinstance(options, Sequence) else list(options)
         branches = [
-            Branch(
+            DeviceSpec(
                 node,
                 each[node - 1],
                 Oscillator(drift_ppm=drift_ppm[node - 1] if drift_ppm else 0.0),
-                Timing(decode_ns=200 * US),
+                FirmwareTiming(decode_ns=200 * US),
                 seed=node,
             )
             for node in range(1, count + 1)
@@ -48,7 +48,7 @@ class CanBench:
         assert isinstance(segment, CanSegment)
         self.segment = segment
         self.bus = segment.bus
-        self.units: Sequence[DriveUnit] = units
+        self.units: Sequence[SimulatedDrive] = units
         self.frames: list[tuple[int, CanFrame]] = []
         reader = FrameReader()
 
@@ -60,7 +60,7 @@ class CanBench:
             self.wait(300)
 
     @property
-    def drive(self) -> DriveUnit:
+    def drive(self) -> SimulatedDrive:
         return self.units[0]
 
     def wait(self, ms: float) -> None:

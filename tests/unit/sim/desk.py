@@ -1,7 +1,7 @@
 """A simulated SMC-4000 with somebody at its port, on virtual time."""
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import Timing
+from sim.core.controller import FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC4000
 
@@ -12,13 +12,13 @@ class Desk:
     def __init__(
         self,
         port: str = "tcp",
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         oscillator: Oscillator | None = None,
         clock: EventQueue | None = None,
         **options: object,
     ) -> None:
         self.clock = clock or EventQueue()
-        self.unit = SMC4000.build(self.clock, options, timing=timing, oscillator=oscillator)
+        self.unit = SMC4000.build_controller(self.clock, options, timing=timing, oscillator=oscillator)
         self.heard = b""
         self.hung_up = False
         self.open(port)

@@ -11,8 +11,8 @@ from unit.sim.test_shrc203 import Rig
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.queue import EventQueue
 from sim.core.controller import SimulatedController
-from sim.link.truth import TruthLog
-from sim.link.world import WorldRefused, change_world
+from sim.link.truth import GroundTruthLog
+from sim.link.world import EnvironmentRefused, change_environment
 from sim.ppsmc import PPSMC
 from sim.shrc203 import SHRC203
 from sim.smc30 import SMC30
@@ -21,34 +21,34 @@ from sim.yaskawa import SMC4000
 
 def test_a_servos_encoder_sees_a_push_and_enabling_begins_from_there() -> None:
     desk = Desk()
-    desk.unit.push("X", -321)
+    desk.unit.push_axis("X", -321)
     assert "-0000000321" in desk.ask("TPX") and "0000000000" in desk.ask("RPX")
     desk.ask("SHX")
     assert "-0000000321" in desk.ask("RPX")
-    assert not desk.unit.motions
-    with pytest.raises(ValueError, match="holds it"):
-        desk.unit.push("X", 1)
+    assert not desk.unit.commanded_motions
+    with pytest.raises(ValueError, match="keeps torque"):
+        desk.unit.push_axis("X", 1)
 
 
 def test_a_stepper_does_not_see_a_push_but_its_switches_do() -> None:
     desk = Desk(travel={"X": (-1000, 1000)})
     desk.ask("MTX=2")
-    desk.unit.push("X", 1500)
+    desk.unit.push_axis("X", 1500)
     assert "0000000000" in desk.ask("TPX") and "0000000000" in desk.ask("RPX")
     assert desk.ask("MG _LFX{F1.0}").split()[0] == "0"
 
 
 def test_an_open_loop_stage_does_not_see_a_push_and_its_origin_is_elsewhere() -> None:
     rig = Rig({"origin_pls": {"1": 500}})
-    with pytest.raises(ValueError, match="holds it"):
-        rig.unit.push("1", 1)
+    with pytest.raises(ValueError, match="keeps torque"):
+        rig.unit.push_axis("1", 1)
     rig.ok("C:10")
-    rig.unit.push("1", 200)
+    rig.unit.push_axis("1", 200)
     rig.ok("C:11")
     assert rig.coordinates()[0] == 0
     rig.ok("H:1")
     rig.wait(60)
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     # Without the push the way would have been 500.
     assert (motion.start_counts, motion.end_counts) == (0, 300)
     assert rig.coordinates()[0] == 0
@@ -57,7 +57,7 @@ def test_an_open_loop_stage_does_not_see_a_push_and_its_origin_is_elsewhere() ->
 def test_a_scale_sees_a_push_and_the_loop_takes_the_stage_back() -> None:
     rig = Rig({"scales": True})
     rig.ok("F:10", "C:10")
-    rig.unit.push("1", 200)
+    rig.unit.push_axis("1", 200)
     assert rig.ask("Q:SPE").split(",")[0] == "P+200" and rig.ask("Q:SPC").split(",")[0] == "P0"
     rig.ok("C:11")
     assert rig.ask("Q:SPE").split(",")[0] == "P0"
@@ -65,12 +65,12 @@ def test_a_scale_sees_a_push_and_the_loop_takes_the_stage_back() -> None:
 
 def test_pushes_of_makes_whose_motors_can_not_be_switched_off_need_rest() -> None:
     for make, axis in ((PPSMC, "1"), (SMC30, "1")):
-        unit = make.build(EventQueue(), {})
-        name = axis if axis in unit.axes else unit.axes[0]
+        unit = make.build_controller(EventQueue(), {})
+        name = axis if axis in unit.axis_names else unit.axis_names[0]
         before = unit.position(name)
-        unit.push(name, 50)
+        unit.push_axis(name, 50)
         assert unit.position(name) == before
-        assert not unit.motions
+        assert not unit.commanded_motions
 
 
 @pytest.mark.parametrize("line", ["STX", "ST", "AB", "limit", "FLX=3000"])
@@ -84,7 +84,7 @@ def test_when_a_stop_begins_to_slow_an_smc4000(line: str) -> None:
     else:
         desk.ask(line)
     desk.rest()
-    (motion,) = desk.unit.motions
+    (motion,) = desk.unit.commanded_motions
     assert motion.slowing_ns is not None and motion.end_ns is not None
     if line.startswith("FL"):
         assert motion.slowing_ns <= told_ns + NS_PER_MS
@@ -97,11 +97,11 @@ def test_a_motion_without_a_stop_has_no_such_instant() -> None:
     desk = Desk()
     desk.ask("SHX", "PRX=2000", "BGX")
     desk.rest()
-    assert [motion.slowing_ns for motion in desk.unit.motions] == [None]
+    assert [motion.slowing_ns for motion in desk.unit.commanded_motions] == [None]
     rig = Rig()
     rig.ok("M:1+P200", "G:1")
     rig.wait(5)
-    assert [motion.slowing_ns for motion in rig.unit.motions] == [None]
+    assert [motion.slowing_ns for motion in rig.unit.commanded_motions] == [None]
 
 
 @pytest.mark.parametrize(("line", "dead"), [("L:1", False), ("L:E", True), ("limit", True)])
@@ -115,34 +115,34 @@ def test_when_a_stop_begins_to_slow_an_shrc203(line: str, dead: bool) -> None:
     else:
         rig.ok(line)
     rig.wait(2)
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     assert motion.slowing_ns is not None and motion.end_ns is not None
     assert abs(motion.slowing_ns - told_ns) <= NS_PER_MS
     assert (motion.end_ns - motion.slowing_ns < NS_PER_MS) == dead
 
 
 BUILT: Mapping[str, SimulatedController] = {
-    "smc4000": SMC4000.build(EventQueue(), {}),
-    "shrc203": SHRC203.build(EventQueue(), {}),
-    "ppsmc": PPSMC.build(EventQueue(), {}),
+    "smc4000": SMC4000.build_controller(EventQueue(), {}),
+    "shrc203": SHRC203.build_controller(EventQueue(), {}),
+    "ppsmc": PPSMC.build_controller(EventQueue(), {}),
 }
 
 
 def test_lines_of_the_world_push_axes_and_count_inputs_from_0() -> None:
-    change_world(BUILT["smc4000"], '{"push": ["X", 500]}')
-    change_world(BUILT["ppsmc"], '{"input": [0, true]}')
-    with pytest.raises(WorldRefused, match="no axis 'Q'"):
-        change_world(BUILT["smc4000"], '{"push": ["Q", 500]}')
-    with pytest.raises(WorldRefused, match="holds it"):
-        change_world(BUILT["shrc203"], '{"push": ["1", 500]}')
-    with pytest.raises(WorldRefused, match="line 0"):
-        change_world(BUILT["shrc203"], '{"input": [0, true]}')
+    change_environment(BUILT["smc4000"], '{"push": ["X", 500]}')
+    change_environment(BUILT["ppsmc"], '{"input": [0, true]}')
+    with pytest.raises(EnvironmentRefused, match="no axis 'Q'"):
+        change_environment(BUILT["smc4000"], '{"push": ["Q", 500]}')
+    with pytest.raises(EnvironmentRefused, match="keeps torque"):
+        change_environment(BUILT["shrc203"], '{"push": ["1", 500]}')
+    with pytest.raises(EnvironmentRefused, match="input or output 0"):
+        change_environment(BUILT["shrc203"], '{"input": [0, true]}')
 
 
 def test_the_record_tells_start_slowing_and_end_in_order() -> None:
     desk = Desk()
     file = io.StringIO()
-    TruthLog(desk.unit, desk.clock, file)
+    GroundTruthLog(desk.unit, desk.clock, file)
     desk.ask("SHX", "JGX=20000", "BGX")
     desk.wait(0.3)
     desk.ask("STX")
@@ -166,5 +166,5 @@ def test_a_limit_switch_of_one_axis_hides_no_edge_from_another_that_comes_to_it_
         desk.unit.set_limit("X", "both")
         desk.wait(5.0)
         assert desk.unit.at_rest(), f"pressed in sample {sample}"
-        ends.add(desk.unit.motions[0].end_counts or 0.0)
+        ends.add(desk.unit.commanded_motions[0].end_counts or 0.0)
     assert len(ends) == 1

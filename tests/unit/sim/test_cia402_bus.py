@@ -304,7 +304,7 @@ def test_a_master_that_falls_silent_stops_the_motor_as_said(code: int, ends: int
     assert bench.drive.velocity("1") == pytest.approx(5_000)
     bench.wait(100)
     assert bench.status() & 0x4F == ends & 0x4F
-    assert bench.drive.moving("1") == (code == 0)
+    assert bench.drive.is_moving("1") == (code == 0)
     assert bench.heard(0x81)[-1][:2] == bytes([0x30, 0x81])
 
 
@@ -328,10 +328,10 @@ def test_a_drive_in_bus_off_stops_and_comes_back_with_an_emergency() -> None:
     bench.write(0x60FF, 0, 5_000, 4)
     bench.wait(100)
     bench.bus.disturb(32)
-    bench.drive.station.emergency(0x1000, 1)  # what it is sending when the errors come
+    bench.drive.station.send_emergency(0x1000, 1)  # what it is sending when the errors come
     bench.wait(50)
     assert bench.drive.station.can.state == "off"
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     bench.wait(700)
     assert bench.heard(0x81)[-1][:2] == bytes([0x40, 0x81])
     assert bench.status() & 0x4F == 0x08
@@ -363,7 +363,7 @@ def test_emergencies_keep_their_inhibit_time() -> None:
     bench.write(0x1015, 0, 50, 2)
     began_ns = bench.clock.now_ns()
     for code in (0x4310, 0x3210, 0x2310):
-        bench.drive.station.emergency(code, 1)
+        bench.drive.station.send_emergency(code, 1)
     bench.wait(20)
     told = [(at_ns, frame.data[:2]) for at_ns, frame in bench.frames if frame.id == 0x81 and at_ns >= began_ns]
     assert [data for _, data in told] == [b"\x10\x43", b"\x10\x32", b"\x10\x23"]

@@ -39,7 +39,7 @@ def test_a_profile_position_move_is_the_trapezoid_of_its_objects() -> None:
     bench.write(0x6083, 0, 100_000, 4)
     bench.write(0x6084, 0, 50_000, 4)
     move(bench, 30_000, wait_ms=3000)
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     # 0.2 s up over 2,000, 0.4 s down over 4,000, the rest of 24,000 at 20,000 a second
     assert motion.end_ns is not None
     assert (motion.end_ns - motion.start_ns) / 1e9 == pytest.approx(0.2 + 1.2 + 0.4, abs=2e-9)
@@ -53,7 +53,7 @@ def test_target_reached_waits_for_the_motor() -> None:
     bench.enable(1)
     bench.write(0x6068, 0, 20, 2)
     move(bench, 1000)
-    while bench.drive.moving("1"):
+    while bench.drive.is_moving("1"):
         bench.wait(0.1)
     assert not bench.status() & 0x400
     bench.wait(40)
@@ -72,12 +72,12 @@ def test_a_set_of_set_points_and_one_that_changes_at_once() -> None:
     bench.wait(1200)
     assert not bench.status() & 0x1000
     bench.wait(1000)
-    assert [motion.end_counts for motion in bench.drive.motions] == [10_000.0, 5_000.0]
+    assert [motion.end_counts for motion in bench.drive.commanded_motions] == [10_000.0, 5_000.0]
     move(bench, 100_000)
     bench.wait(100)
     move(bench, -2_000, extra=0x20, wait_ms=4000)
-    assert len(bench.drive.motions) == 3
-    assert bench.drive.motions[-1].end_counts == -2_000.0
+    assert len(bench.drive.commanded_motions) == 3
+    assert bench.drive.commanded_motions[-1].end_counts == -2_000.0
 
 
 def test_relative_set_points_add_to_the_target() -> None:
@@ -96,7 +96,7 @@ def test_halt_and_on() -> None:
     bench.wait(200)
     halted = bench.drive.position("1")
     assert 0 < halted < 20_000
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     assert bench.status() & 0x400
     bench.control(0x0F)
     bench.wait(3000)
@@ -112,7 +112,7 @@ def test_halt_at_the_target_and_on_is_no_motion() -> None:
     bench.control(0x0F)
     bench.wait(100)
     assert bench.drive.position("1") == 2000.0
-    assert len(bench.drive.motions) == 1
+    assert len(bench.drive.commanded_motions) == 1
 
 
 def test_profile_velocity() -> None:
@@ -161,7 +161,7 @@ def test_quick_stop_by_its_option_code(code: int, ends: int, ramp_s: float) -> N
     bench.write(0x6040, 0, 0x02, 2)
     bench.wait(300)
     assert bench.status() & 0x4F == ends
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     if ramp_s:
         assert motion.slowing_ns is not None
@@ -204,9 +204,9 @@ def test_a_limit_switch_stops_and_lets_only_back() -> None:
     assert 4_000 < stood < 4_100
     assert bench.read(0x60FD) & 3 == 2
     assert bench.status() & 0x800
-    motions = len(bench.drive.motions)
+    motions = len(bench.drive.commanded_motions)
     move(bench, 20_000, wait_ms=100)
-    assert len(bench.drive.motions) == motions
+    assert len(bench.drive.commanded_motions) == motions
     move(bench, 0, wait_ms=2000)
     assert bench.drive.position("1") == 0.0
     assert not bench.status() & 0x800
@@ -219,7 +219,7 @@ def test_the_enable_input_takes_the_voltage() -> None:
     bench.enable(1)
     move(bench, 50_000, wait_ms=200)
     bench.drive.set_input(3, False)
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     assert bench.status() & 0x5F == 0x40
     assert bench.read(0x60FD) & 8
 
@@ -234,18 +234,18 @@ def test_inputs_and_outputs() -> None:
     bench.write(0x60FE, 2, 0x0003_0000, 4)
     bench.write(0x60FE, 1, 0x0006_0000, 4)
     assert changes == [(2, True)]
-    assert bench.drive.output(2)
+    assert bench.drive.output_level(2)
     bench.drive.set_power(False)
     assert changes == [(2, True), (2, False)]
 
 
 def test_a_hand_moves_what_is_off_and_nothing_else() -> None:
     bench = CanBench()
-    bench.drive.push("1", -350)
+    bench.drive.push_axis("1", -350)
     assert bench.read(0x6064, signed=True) == -350
     bench.enable(1)
-    with pytest.raises(ValueError, match="holds the axis"):
-        bench.drive.push("1", 1)
+    with pytest.raises(ValueError, match="keeps torque"):
+        bench.drive.push_axis("1", 1)
 
 
 # Homing: the switch is active from 1000 to 2000, limit switches at -5000 and 5000.
@@ -297,7 +297,7 @@ def test_homing_finds_the_place_of_its_method(
     method: int, options: Mapping[str, object], home: int | None, last: int, begin: int
 ) -> None:
     bench = CanBench(options={**options, "index_every": 400.0})
-    bench.drive.push("1", begin)
+    bench.drive.push_axis("1", begin)
     bench.write(0x6098, 0, method, 1)
     bench.write(0x607C, 0, 77, 4)
     bench.enable(6)
@@ -312,7 +312,7 @@ def test_homing_finds_the_place_of_its_method(
     # zero lies the home offset away from the home position
     assert servo.offset == pytest.approx(-77 - home)
     # the last way is slow, in the direction of the method, and ends by the ramp just behind the place
-    beyond = last * (servo.mechanical - home)
+    beyond = last * (servo.mechanical_position - home)
     assert beyond == pytest.approx(500**2 / (2 * 100_000) if last else 0, abs=1e-3)
 
 
@@ -334,7 +334,7 @@ def test_homing_is_interrupted_by_its_bit() -> None:
     bench.wait(100)
     bench.control(0x0F)
     bench.wait(200)
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     assert bench.status() & 0x3400 == 0x400
 
 
@@ -346,7 +346,7 @@ def test_a_homing_goes_on_after_halt() -> None:
     bench.wait(100)
     bench.control(0x11F)
     bench.wait(300)
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     bench.control(0x1F)
     bench.wait(8000)
     assert bench.status() & 0x3400 == 0x1400
@@ -389,7 +389,7 @@ def test_cyclic_synchronous_position_follows_in_straight_pieces() -> None:
     assert max(abs(a - b) for a, b in zip(seen, targets, strict=True)) < 5_000 * math.pi / 500 * 0.5
     follow(bench, rpdo, [10_000] * 3, 10)
     assert bench.drive.position("1") == 10_000.0
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     assert (motion.end_ns - motion.start_ns) / 1e9 == pytest.approx(0.5, abs=2e-4)
 
@@ -430,11 +430,11 @@ def test_one_sync_starts_all_drives_of_a_bus() -> None:
         bench.send(rpdo, b"\x1f\0")
     bench.wait(20)
     assert bench.bus.clock is bench.clock
-    assert not any(unit.motions for unit in bench.units)
+    assert not any(unit.commanded_motions for unit in bench.units)
     sync_ns = bench.clock.now_ns()
     bench.send(0x80)
     bench.wait(20)
-    starts = [unit.motions[0].start_ns for unit in bench.units]
+    starts = [unit.commanded_motions[0].start_ns for unit in bench.units]
     # SYNC without data is 47 bits and some; 15 to 25 µs of firmware; up to 100 µs until the next tick of the loop
     assert min(starts) > sync_ns + 60 * US
     assert max(starts) < sync_ns + (60 + 25 + 100) * US
@@ -445,7 +445,7 @@ def test_the_crystal_makes_a_move_long_or_short() -> None:
     bench = CanBench(drift_ppm=[100.0])
     bench.enable(1)
     move(bench, 10_000, wait_ms=2000)
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     assert motion.end_ns - motion.start_ns == pytest.approx(1.1e9 / (1 + 100e-6), abs=2)
 
@@ -457,7 +457,7 @@ def test_factors_scale_velocity_and_acceleration() -> None:
     bench.write(0x6083, 0, 1_000, 4)
     bench.write(0x6084, 0, 1_000, 4)
     move(bench, 10_000, wait_ms=1500)
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     assert motion.end_ns - motion.start_ns == pytest.approx(1.1 * 1e9, abs=2)
     with pytest.raises(Aborted, match="0x08000022"):
@@ -476,7 +476,7 @@ def test_power_off_in_a_move_stops_dead_and_boots_again() -> None:
     bench.enable(1)
     move(bench, 50_000, wait_ms=300)
     bench.drive.set_power(False)
-    assert not bench.drive.moving("1")
+    assert not bench.drive.is_moving("1")
     assert bench.drive.at_rest()
     bench.wait(1000)
     bench.drive.set_power(True)
@@ -498,12 +498,15 @@ def test_a_slow_path_with_periods_of_rest_is_one_motion() -> None:
     follow(bench, rpdo, [1, 1, 1, 2, 2, 3, 5, 8, 9, 9, 9, 9, 10], 10)
     bench.wait(10)
     follow(bench, rpdo, [10] * 55, 10)
-    (motion,) = bench.drive.motions
+    (motion,) = bench.drive.commanded_motions
     assert motion.end_ns is not None
     assert (motion.end_ns - motion.start_ns) / 1e9 == pytest.approx(0.13, abs=2e-4)
     # What begins half a second later is another one.
     follow(bench, rpdo, [20, 20], 10)
-    assert [(each.start_counts, each.end_counts) for each in bench.drive.motions] == [(0.0, 10.0), (10.0, 20.0)]
+    assert [(each.start_counts, each.end_counts) for each in bench.drive.commanded_motions] == [
+        (0.0, 10.0),
+        (10.0, 20.0),
+    ]
 
 
 def test_a_mode_that_the_drive_does_not_have_is_refused_and_not_in_its_list() -> None:

@@ -5,10 +5,10 @@ from random import Random
 
 import pytest
 
-from sim.cia402.profile import Plan, to_rest, to_speed, to_target
+from sim.cia402.profile import MotionPlan, to_rest, to_speed, to_target
 
 
-def check(plan: Plan, speed: float, up: float, down: float) -> None:
+def check(plan: MotionPlan, speed: float, up: float, down: float) -> None:
     """Continuous from displacement 0 and `speed` on, with no acceleration beyond the larger one."""
     x, v, ends = 0.0, speed, [piece.t for piece in plan.segments[1:]]
     for piece, end in zip(plan.segments, [*ends, plan.duration_s], strict=True):
@@ -51,7 +51,7 @@ def test_a_plan_without_a_begin_speed_is_as_short_as_can_be() -> None:
 def test_going_over_to_a_speed(speed: float, target: float) -> None:
     plan = to_speed(speed, target, 1000.0, 400.0)
     check(plan, speed, 1000.0, 400.0)
-    assert plan.at(plan.reached_s + 1.0)[1] == target
+    assert plan.state_at(plan.reached_s + 1.0)[1] == target
     assert math.isinf(plan.duration_s) == (target != 0)
     through = speed * target < 0
     ramp_s = abs(target - speed) / (1000.0 if abs(target) > abs(speed) else 400.0)

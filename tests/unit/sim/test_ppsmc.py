@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import PortRefused, Timing
+from sim.core.controller import FirmwareTiming, PortRefused
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import read_vectors, run_vector
 from sim.ppsmc import PPSMC
@@ -57,12 +57,12 @@ class Rig:
         self,
         options: Mapping[str, object] | None = None,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> None:
         self.clock = EventQueue()
         given = {**IDEAL, **(options or {})}
-        self.unit = PPSMC.build(self.clock, given, oscillator=oscillator, timing=timing, seed=seed)
+        self.unit = PPSMC.build_controller(self.clock, given, oscillator=oscillator, timing=timing, seed=seed)
         self.client = Client(self)
         self.ask = self.client.ask
         self.send = self.client.send
@@ -77,9 +77,9 @@ class Rig:
 
 def test_options_are_checked() -> None:
     with pytest.raises(ValueError, match="unknown option axis"):
-        PPSMC.build(EventQueue(), {"axis": 2})
+        PPSMC.build_controller(EventQueue(), {"axis": 2})
     with pytest.raises(ValueError, match="no axis 2"):
-        PPSMC.build(EventQueue(), {"travel_steps": {"2": (0, 1)}})
+        PPSMC.build_controller(EventQueue(), {"travel_steps": {"2": (0, 1)}})
 
 
 def test_greeting_and_several_clients() -> None:
@@ -110,7 +110,7 @@ def test_bad_lines_are_silent_and_change_nothing(line: str) -> None:
     rig = Rig()
     before = rig.ask("?conf1")
     assert rig.ask(line) == []
-    assert rig.unit.at_rest() and not rig.unit.motions
+    assert rig.unit.at_rest() and not rig.unit.commanded_motions
     assert rig.ask("?conf1") == before
     if line and not line.startswith("#"):
         rig.send("echo1")
@@ -143,7 +143,7 @@ def test_second_target_waits_and_wrong_state_is_refused() -> None:
     rig.send(*STAGE, "move1:1000", "move1:500", "move1:7", "gnum1:5", "pos1:3", "fast2+", "tbg")
     rig.settle()
     assert rig.unit.position("1") == 1500 and rig.unit.position("2") == 0
-    assert [motion.end_counts for motion in rig.unit.motions] == [1000, 1500]
+    assert [motion.end_counts for motion in rig.unit.commanded_motions] == [1000, 1500]
     assert rig.ask("?conf1").count("gnum1:1") == 1
 
 
@@ -153,7 +153,7 @@ def test_group_starts_together_in_device_time() -> None:
     rig.send(*STAGE, "frun2:200", "ffast2:2000", "acc2:10", "dec2:10", "tbc", "tbs1:r4000", "tbs2:a-4000", "tbg")
     assert rig.ask("?tb") == ["1:r4000;2:a-4000;"]
     rig.settle()
-    one, two = rig.unit.motions
+    one, two = rig.unit.commanded_motions
     assert 0 < abs(one.start_ns - two.start_ns) <= 10_000
     # 4000 steps with two ramps of 0.18 s.
     took = crystal.device_ns(one.end_ns or 0) - crystal.device_ns(one.start_ns)
@@ -169,7 +169,7 @@ def test_quit_decelerates_and_stops_program_and_queue() -> None:
     rig.wait(0.09)
     assert rig.unit.velocity("1") == pytest.approx(1100)
     rig.settle()
-    assert len(rig.unit.motions) == 1 and rig.unit.motions[0].end_ns == 1_180_000_000
+    assert len(rig.unit.commanded_motions) == 1 and rig.unit.commanded_motions[0].end_ns == 1_180_000_000
     rig.send("lin1", "delay600", "nl", "start:*5")
     assert rig.ask("?s1") == ["1:65;"] and rig.ask("?line") == ["1"] and rig.ask("?conf") == []
     rig.send("q")
@@ -182,10 +182,10 @@ def test_spin_changes_speed_and_direction() -> None:
     rig.wait(1)
     rig.send("spin1:-1000", "spin2:+")
     rig.wait(1)
-    assert rig.unit.velocity("1") == -1000 and not rig.unit.moving("2")
+    assert rig.unit.velocity("1") == -1000 and not rig.unit.is_moving("2")
     rig.send("q")
     rig.settle()
-    assert len(rig.unit.motions) == 1
+    assert len(rig.unit.commanded_motions) == 1
 
 
 def test_travel_stops_dead_and_clears_the_reference() -> None:
@@ -199,7 +199,7 @@ def test_travel_stops_dead_and_clears_the_reference() -> None:
     assert rig.ask("?err") == ["1:1500 limit switch error"]
     assert rig.ask("?status1") == ["1:1500:limit switch error:3000:0:2:0:0:1:0:0", ""]
     rig.send("move1:1")
-    assert len(rig.unit.motions) == 1
+    assert len(rig.unit.commanded_motions) == 1
     rig.send("cerr", "move1:-100")
     rig.settle()
     assert rig.unit.position("1") == 2900 and rig.ask("?err1") == ["1:0"]
@@ -233,7 +233,7 @@ def test_encoder_index_reference() -> None:
     rig.send(*STAGE, "eref1+")
     rig.settle()
     assert rig.ask("?s1") == ["1:1155;"]
-    assert rig.unit.motions[-1].end_counts == 510
+    assert rig.unit.commanded_motions[-1].end_counts == 510
 
 
 def test_closed_loop_corrects_and_gives_up() -> None:
@@ -241,7 +241,7 @@ def test_closed_loop_corrects_and_gives_up() -> None:
     rig.send(*STAGE, "eres1:1", "edev1:1", "prt1:200", "mpr1:5", "prst1:0.5", "ecl1:1", "goto1:1000")
     rig.settle()
     assert rig.unit.position("1") == 1000 and rig.ask("?ec1") == ["1:999;"]
-    assert len(rig.unit.motions) == 3 and rig.ask("?s1") == ["1:129;"]
+    assert len(rig.unit.commanded_motions) == 3 and rig.ask("?s1") == ["1:129;"]
     rig.unit.set_stalled("1", True)
     rig.send("goto1:0")
     rig.settle()
@@ -269,13 +269,13 @@ def test_program_subroutines_inputs_and_axis_choice() -> None:
     rig.send("start:")
     rig.wait(1)
     assert rig.client.raw == b"ab!c\r\n8\r\n1\r\n" and rig.unit.position("1") == 6
-    assert rig.clock.next_ns() is None and rig.unit.output(3) and rig.ask("?s2") == ["2:65;"]
+    assert rig.clock.next_ns() is None and rig.unit.output_level(3) and rig.ask("?s2") == ["2:65;"]
     began_ns = rig.clock.now_ns()
     rig.wait(0.003)
     rig.unit.set_input(0, True)
     rig.settle()
     # The wait began when the count was over, 0.512 s after the start.
-    assert rig.unit.motions[-1].start_ns == 1_012 * MS > began_ns
+    assert rig.unit.commanded_motions[-1].start_ns == 1_012 * MS > began_ns
     assert rig.unit.position("2") == 5 and rig.ask("?cnt") == ["500"] and rig.ask("?c") == ["500"]
     rig.send("start2:")
     rig.settle()
@@ -328,7 +328,7 @@ def test_power_loss_stops_dead_and_reboot_comes_back() -> None:
     rig.send(*STAGE, "fast1+")
     rig.wait(1)
     rig.unit.set_power(False)
-    assert rig.client.lost and rig.unit.at_rest() and rig.unit.motions[0].end_ns == S
+    assert rig.client.lost and rig.unit.at_rest() and rig.unit.commanded_motions[0].end_ns == S
     rig.unit.set_power(True)
     again = Client(rig)
     again.send("fast1+", "reboot")
@@ -340,17 +340,17 @@ def test_power_loss_stops_dead_and_reboot_comes_back() -> None:
 
 
 def test_decoding_takes_its_time_and_keeps_the_order() -> None:
-    rig = Rig(timing=Timing(decode_ns=5 * MS, spread_ns=15 * MS), seed=3)
+    rig = Rig(timing=FirmwareTiming(decode_ns=5 * MS, spread_ns=15 * MS), seed=3)
     rig.send(*STAGE, "move1:10")
     rig.client.wire.close()
     assert not rig.unit.at_rest()
     rig.settle()
     assert rig.unit.position("1") == 10
-    assert 6 * 5 * MS <= rig.unit.motions[0].start_ns <= 6 * 20 * MS
-    again = Rig(timing=Timing(decode_ns=5 * MS, spread_ns=15 * MS), seed=3)
+    assert 6 * 5 * MS <= rig.unit.commanded_motions[0].start_ns <= 6 * 20 * MS
+    again = Rig(timing=FirmwareTiming(decode_ns=5 * MS, spread_ns=15 * MS), seed=3)
     again.send(*STAGE, "move1:10")
     again.settle()
-    assert again.unit.motions == rig.unit.motions
+    assert again.unit.commanded_motions == rig.unit.commanded_motions
 
 
 def test_sleep_holds_back_one_client_only() -> None:
@@ -361,7 +361,7 @@ def test_sleep_holds_back_one_client_only() -> None:
     other.wire.receive(b"block\r\n?s1\r\nunblock\r\n")
     assert other.raw.endswith(b"1:16513;\r\n")
     rig.wait(5)
-    assert not rig.unit.motions
+    assert not rig.unit.commanded_motions
 
 
 def test_later_firmware() -> None:
@@ -373,4 +373,4 @@ def test_later_firmware() -> None:
     assert [line.count(":") for line in rig.ask("?status")] == [16, 16, 0]
     rig.send("goto1:1000*s500r500a10d2")
     rig.settle()
-    assert rig.unit.motions[0].end_ns == 2 * S
+    assert rig.unit.commanded_motions[0].end_ns == 2 * S

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import PortRefused, Timing
+from sim.core.controller import FirmwareTiming, PortRefused
 from sim.core.oscillator import Oscillator
 from sim.shrc203 import SHRC203
 
@@ -20,11 +20,11 @@ class Rig:
         self,
         options: Mapping[str, object] | None = None,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         seed: int = 0,
     ) -> None:
         self.clock = EventQueue()
-        self.unit = SHRC203.build(self.clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
+        self.unit = SHRC203.build_controller(self.clock, options or {}, oscillator=oscillator, timing=timing, seed=seed)
         self.said: list[tuple[int, str]] = []
         self.port = self.unit.connect("serial", self._heard, lambda: None)
 
@@ -69,7 +69,7 @@ def test_prebuffer_migrates_before_the_completion_character() -> None:
     assert seen == ["OK_D", "1", "NS", "500", "B"]
     rig.wait(2)
     assert seen[-1] == "1"
-    first, second = rig.unit.motions
+    first, second = rig.unit.commanded_motions
     assert (first.start_ns, first.end_ns) == (0, 1045 * MS)
     assert (second.start_ns, second.end_ns, second.end_counts) == (1046 * MS, 2046 * MS, 1500.0)
 
@@ -96,7 +96,7 @@ def test_timed_standby_starts_the_move_behind_it_and_cancelling_starts_it_early(
         if command is not None:
             rig.ok(command)
         assert rig.wait(3) == ["1"]
-        assert [motion.start_ns for motion in rig.unit.motions] == [start_ns]
+        assert [motion.start_ns for motion in rig.unit.commanded_motions] == [start_ns]
 
 
 def test_input_standby_compares_all_six_inputs_at_its_own_scan() -> None:
@@ -109,11 +109,11 @@ def test_input_standby_compares_all_six_inputs_at_its_own_scan() -> None:
     rig.unit.set_input(2, True)
     rig.unit.set_input(1, True)
     rig.wait(0.1)
-    assert not rig.unit.motions
+    assert not rig.unit.commanded_motions
     rig.unit.set_input(2, False)
     released_ns = rig.clock.now_ns()
     assert rig.wait(3) == ["1", "2"]
-    starts = {motion.start_ns for motion in rig.unit.motions}
+    starts = {motion.start_ns for motion in rig.unit.commanded_motions}
     assert len(starts) == 1
     assert 0 < starts.pop() - released_ns < MS
 
@@ -135,7 +135,7 @@ def test_stop_discards_the_chain_and_ends_with_the_slope_of_the_ramps() -> None:
     rig.wait(1)
     rig.ok("L:1")
     assert rig.wait(1) == ["1"]
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     assert motion.end_ns == 1100 * MS
     assert rig.coordinates()[0] == motion.end_counts == 1000 - 45 + 55
     assert rig.ask("?:MP1") == "NS"
@@ -163,7 +163,7 @@ def test_stopping_a_standby_does_not_start_what_is_behind_it() -> None:
     rig.ok("L:1")
     assert rig.ask("!:") == "R"
     assert rig.wait(5) == []
-    assert not rig.unit.motions
+    assert not rig.unit.commanded_motions
 
 
 def test_emergency_stop_and_recovery() -> None:
@@ -192,7 +192,7 @@ def test_power_cycle_forgets_what_is_volatile() -> None:
     rig.wait(0.5)
     rig.port.receive(b"?:N")
     rig.unit.set_power(False)
-    stopped = rig.unit.motions[0]
+    stopped = rig.unit.commanded_motions[0]
     assert stopped.end_ns == 500 * MS
     assert changes == [(number, False) for number in range(1, 7)]
     rig.port.receive(b"Q:\r\n")
@@ -281,7 +281,7 @@ def test_a_drifting_crystal_stretches_motions_exactly() -> None:
     rig.wait(1)
     assert rig.unit.velocity("1") == pytest.approx(5714 * (1 - 200e-6), rel=1e-9)
     rig.wait(4)
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     assert motion.end_ns is not None
     duration = 10000 / 5714 + 0.25 * (1 - 2 / 5714)
     assert (motion.end_ns - motion.start_ns) / S == pytest.approx(duration / (1 - 200e-6), abs=2e-9)
@@ -291,24 +291,24 @@ def test_wandering_crystal_and_far_ends() -> None:
     rig = Rig(oscillator=Oscillator(drift_ppm=30.0, wander_ppm=0.01, seed=4))
     rig.ok("MP:1+P3000000,S1F1000R100", "G:1")
     assert rig.wait(3001) == ["1"]
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     assert motion.end_ns is not None
     assert motion.end_ns / S == pytest.approx(3000.0999, rel=40e-6)
 
 
 def test_firmware_takes_its_time_and_keeps_the_order() -> None:
-    rig = Rig(timing=Timing(decode_ns=MS, spread_ns=MS), seed=3)
+    rig = Rig(timing=FirmwareTiming(decode_ns=MS, spread_ns=MS), seed=3)
     rig.port.receive(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
     assert rig.said == []
     rig.wait(1)
     assert [line for _, line in rig.said] == ["OK", "OK", "SHRC-203", "1"]
     times = [at for at, _ in rig.said]
     assert all(MS <= later - earlier <= 2 * MS for earlier, later in zip([0, *times[:2]], times[:3], strict=True))
-    (motion,) = rig.unit.motions
+    (motion,) = rig.unit.commanded_motions
     assert motion.start_ns == times[1]
     assert motion.end_ns is not None
     assert MS <= times[3] - motion.end_ns <= 2 * MS
-    again = Rig(timing=Timing(decode_ns=MS, spread_ns=MS), seed=3)
+    again = Rig(timing=FirmwareTiming(decode_ns=MS, spread_ns=MS), seed=3)
     again.port.receive(b"MP:1+P10,S100F100R1\r\nG:1\r\n?:N\r\n")
     again.wait(1)
     assert again.said == rig.said
@@ -381,7 +381,7 @@ def test_an_interpolation_waits_for_all_its_axes() -> None:
     assert rig.wait(1.5) == ["1"]
     assert rig.ask("!:S") == "B,B,R"
     assert rig.wait(5) == ["2", "1", "2"]
-    lines = [motion for motion in rig.unit.motions if motion.start_ns == 3 * S]
+    lines = [motion for motion in rig.unit.commanded_motions if motion.start_ns == 3 * S]
     assert [(motion.axis, motion.end_ns) for motion in lines] == [("1", 4 * S), ("2", 4 * S)]
 
 
@@ -396,13 +396,13 @@ def test_program_loops_outputs_continuous_motion_and_trigger_lines() -> None:
     rig.wait(0.03)
     assert rig.ask("?:L").split(",")[1:3] == ["1", "2"]
     assert rig.wait(10) == ["TRIG", "TRIG"]
-    assert rig.unit.motions[-1].end_counts == 2030.0
-    assert len(rig.unit.motions) == 4
+    assert rig.unit.commanded_motions[-1].end_counts == 2030.0
+    assert len(rig.unit.commanded_motions) == 4
     assert rig.ask("?:L").startswith("2,1,12,")
     rig.unit.set_input(1, True)
     assert rig.wait(0.1) == ["COMP"]
     assert rig.ask("?:L") == "2,0,13,0,0,0,0,0,0,0,0,0"
-    last = rig.unit.motions[-1]
+    last = rig.unit.commanded_motions[-1]
     assert last.end_ns is not None
     assert (last.end_ns - last.start_ns) / S == pytest.approx(2.09, abs=1e-6)
 
@@ -432,13 +432,13 @@ def test_an_idle_unit_schedules_nothing_and_a_moving_one_only_its_end() -> None:
 def test_wrong_options_and_ports_are_refused() -> None:
     clock = EventQueue()
     with pytest.raises(ValueError, match=r"wheels; allowed: .*base_rate"):
-        SHRC203.build(clock, {"wheels": 4})
+        SHRC203.build_controller(clock, {"wheels": 4})
     with pytest.raises(ValueError, match="divide"):
-        SHRC203.build(clock, {"divide": 7})
+        SHRC203.build_controller(clock, {"divide": 7})
     with pytest.raises(PortRefused):
         Rig().unit.connect("tcp", lambda data: None, lambda: None)
     with pytest.raises(ValueError, match="no axis"):
         Rig().unit.position("X")
     bench = SHRC203.vector_bench(clock, {})
     with pytest.raises(ValueError, match="analog"):
-        bench.given({"analog": {"1": 2.0}})
+        bench.apply_given({"analog": {"1": 2.0}})

@@ -5,11 +5,11 @@ import random
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import Connection, PortRefused, SimulatedController, Timing
+from sim.core.controller import FirmwareTiming, PortConnection, PortRefused, SimulatedController
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC2000
 from sim.yaskawa.base.errors import SMC2000 as TEXTS
-from sim.yaskawa.smc2000.chain import Chain
+from sim.yaskawa.smc2000.chain import DaisyChain
 
 SAMPLE_NS = 976562.5
 HOP_NS = 520_833
@@ -20,16 +20,22 @@ class Desk:
     """A host on the serial port of a controller or a chain, on virtual time."""
 
     def __init__(
-        self, timing: Timing | None = None, oscillator: Oscillator | None = None, echo: bool = False, **options: object
+        self,
+        timing: FirmwareTiming | None = None,
+        oscillator: Oscillator | None = None,
+        echo: bool = False,
+        **options: object,
     ) -> None:
         self.clock = EventQueue()
         given = {"echo": echo, **options}
-        self.unit: SimulatedController = SMC2000.build(self.clock, given, timing=timing, oscillator=oscillator)
+        self.unit: SimulatedController = SMC2000.build_controller(
+            self.clock, given, timing=timing, oscillator=oscillator
+        )
         self.heard = b""
         self.hung_up = False
         self.line = self.open("serial")
 
-    def open(self, port: str) -> Connection:
+    def open(self, port: str) -> PortConnection:
         def closed() -> None:
             self.hung_up = True
 
@@ -59,8 +65,8 @@ class Desk:
             assert self.clock.step()
 
     @property
-    def chain(self) -> Chain:
-        assert isinstance(self.unit, Chain)
+    def chain(self) -> DaisyChain:
+        assert isinstance(self.unit, DaisyChain)
         return self.unit
 
 
@@ -69,7 +75,7 @@ class Desk:
 
 def test_echo_comes_first_byte_by_byte_and_is_on_by_default() -> None:
     clock = EventQueue()
-    unit = SMC2000.build(clock, {})
+    unit = SMC2000.build_controller(clock, {})
     heard: list[bytes] = []
     line = unit.connect("serial", heard.append, lambda: None)
     line.receive(b"TP")
@@ -87,7 +93,7 @@ def test_semicolon_ends_a_command_and_an_error_does_not_stop_the_rest() -> None:
 
 
 def test_decode_takes_the_firmwares_time() -> None:
-    desk = Desk(timing=Timing(decode_ns=500_000))
+    desk = Desk(timing=FirmwareTiming(decode_ns=500_000))
     desk.line.receive(b"TPX\r")
     desk.wait(0.0004)
     assert desk.heard == b""
@@ -184,7 +190,7 @@ def test_limits_of_the_memory() -> None:
 @pytest.mark.parametrize(("axes", "least"), [(1, 250), (2, 375), (4, 500), (8, 875)])
 def test_models_by_their_axes(axes: int, least: int) -> None:
     desk = Desk(axes=axes)
-    assert len(desk.unit.axes) == axes
+    assert len(desk.unit.axis_names) == axes
     assert desk.ask("TP").count(",") == axes - 1
     assert desk.ask(f"TM {least}") == ":"
     assert desk.ask(f"TM {least - 125}") == "?"
@@ -238,7 +244,7 @@ def test_burned_state_and_the_three_resets() -> None:
     desk.ask("RS2")
     assert desk.ask("LL") == ":"
     desk.ask("RS")
-    assert desk.unit.output(3)
+    assert desk.unit.output_level(3)
     desk.ask("\x12\x13")
     assert desk.ask("TPX").startswith("TPX\r")
     assert desk.ask("EO 0", "SP?") == " 0000025000\r\n:"
@@ -268,10 +274,10 @@ def test_an_operators_panel_on_port_two() -> None:
     second.receive(b"12\r")
     desk.wait(0.1)
     assert b"".join(panel) == b"LEN 12\rGOT 012\r\n"
-    assert not desk.unit.output(1)
+    assert not desk.unit.output_level(1)
     second.receive(b"45\r")
     desk.wait(0.1)
-    assert desk.unit.output(1)
+    assert desk.unit.output_level(1)
     assert (desk.number("K"), desk.number("P2CD"), desk.number("_HX0")) == (45, 0, 2)
     with pytest.raises(PortRefused):
         desk.open("serial2")
@@ -321,8 +327,8 @@ def test_a_refused_broadcast_of_another_address_is_silent() -> None:
 def test_each_unit_of_the_chain_costs_a_hop() -> None:
     desk = Desk(chain=[{"address": number, "axes": 1} for number in range(8)])
     desk.ask("!PR 1000", "!BG", wait_s=0.1)
-    starts = [motion.start_ns for motion in desk.unit.motions]
-    assert [motion.axis for motion in desk.unit.motions] == [f"{number}X" for number in range(8)]
+    starts = [motion.start_ns for motion in desk.unit.commanded_motions]
+    assert [motion.axis for motion in desk.unit.commanded_motions] == [f"{number}X" for number in range(8)]
     assert starts[-1] - starts[0] == pytest.approx(7 * HOP_NS, abs=SAMPLE_NS)
     desk.ask("%7", wait_s=0.1)
     desk.heard, asked_ns = b"", desk.clock.now_ns()
@@ -351,7 +357,7 @@ def test_points_of_a_chain_are_numbered_by_address() -> None:
     desk.unit.on_output(lambda number, level: seen.append((number, level)))
     desk.ask("%1", "SB 2", wait_s=0.1)
     assert seen == [(102, True)]
-    assert desk.unit.output(102)
+    assert desk.unit.output_level(102)
     desk.unit.set_input(103, False)
     assert desk.ask("MG @IN[3]{F1.0}", wait_s=0.1) == " 0\r\n:"
     desk.unit.set_limit("1Y", "forward")
@@ -376,8 +382,8 @@ def test_a_wired_sample_clock_keeps_units_in_step() -> None:
         before = [desk.ask("%0", "MG TIME{F10.0}"), desk.ask("%1", "MG TIME{F10.0}")]
         desk.ask("!PR 100000", "!BG")
         desk.rest()
-        starts[external] = [motion.start_ns for motion in desk.unit.motions]
-        ends = {motion.end_ns for motion in desk.unit.motions}
+        starts[external] = [motion.start_ns for motion in desk.unit.commanded_motions]
+        ends = {motion.end_ns for motion in desk.unit.commanded_motions}
         assert (len(set(before)) == 1) is external
         assert (len(ends) == 1) is external
     assert len(set(starts[True])) == 1
@@ -392,7 +398,7 @@ def test_without_a_wire_an_external_clock_never_ticks() -> None:
     assert desk.ask("TM ?") == "-01000\r\n:"
     desk.ask("TM 1000")
     desk.rest()
-    (motion,) = desk.unit.motions
+    (motion,) = desk.unit.commanded_motions
     assert (motion.end_counts, desk.unit.position("X")) == (1000, 1000)
     assert motion.start_ns == pytest.approx(5e9, abs=2 * SAMPLE_NS)
 
@@ -440,7 +446,7 @@ def test_an_idle_unit_schedules_nothing_and_power_off_drops_the_port() -> None:
 
 
 def test_threads_take_turns_command_by_command() -> None:
-    desk = Desk(timing=Timing(decode_ns=500_000))
+    desk = Desk(timing=FirmwareTiming(decode_ns=500_000))
     desk.ask("A=0;B=0", "DL\r#A;A=A+1;JP#A\r#B;B=B+1;B=B+1;B=B+1;JP#B\r\\", "XQ#A,0;XQ#B,1", wait_s=0.05)
     desk.wait(6.0)
     desk.ask("HX", wait_s=0.05)
@@ -452,7 +458,7 @@ def test_threads_take_turns_command_by_command() -> None:
 )
 def test_a_wrong_option_is_named(options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
-        SMC2000.build(EventQueue(), options)
+        SMC2000.build_controller(EventQueue(), options)
 
 
 def test_no_input_brings_it_down() -> None:

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import PortRefused, Timing
+from sim.core.controller import FirmwareTiming, PortRefused
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import read_vectors, run_vector
 from sim.smc30 import SMC30
 from sim.smc30.controller import Smc30Controller, build_controller
-from sim.smc30.framing import checksum, odd_parity
+from sim.smc30.framing import compute_checksum, odd_parity
 from sim.smc30.options import read_options
 
 MS = 1_000_000
@@ -28,7 +28,7 @@ class Rig:
         self,
         options: Mapping[str, object] | None = None,
         oscillator: Oscillator | None = None,
-        timing: Timing | None = None,
+        timing: FirmwareTiming | None = None,
         ideal: bool = True,
     ) -> None:
         self.clock = EventQueue()
@@ -66,7 +66,7 @@ def test_vector(vector: Mapping[str, Any]) -> None:
     # The format gives this character for the bytes before it, which are those that are sent.
     if (character := expect.pop("checksum_char", None)) is not None:
         sent = vector["send"].encode("latin-1").removesuffix(b"\r")
-        assert chr(checksum(sent[:-1])) == chr(sent[-1]) == character
+        assert chr(compute_checksum(sent[:-1])) == chr(sent[-1]) == character
     assert run_vector(SMC30, {**vector, "expect": expect}) == []
 
 
@@ -95,7 +95,7 @@ def test_two_units_start_from_one_trigger_each_by_its_own_crystal() -> None:
     rig.bus.set_input(21, True)
     trigger_ns = rig.clock.now_ns()
     rig.wait(4)
-    one, two = rig.bus.motions
+    one, two = rig.bus.commanded_motions
     assert (one.axis, two.axis) == ("1", "2")
     # Filter and start latency of decision 15, by each crystal.
     assert one.start_ns - trigger_ns == pytest.approx(1_160_000 * (1 - 100e-6), abs=2)
@@ -135,7 +135,7 @@ def test_kill_stops_at_once_and_smooth_stop_with_the_ramp() -> None:
     rig.program("g+ A1")
     rig.wait(5)
     assert rig.ask("K F V2") == "Y R V00"
-    assert not rig.bus.moving("1")
+    assert not rig.bus.is_moving("1")
     assert rig.bus.position("1").is_integer()
 
 
@@ -155,10 +155,10 @@ def test_stop_input_suspends_program_and_motion() -> None:
     rig.wait(5)
     rig.bus.set_input(4, False)
     rig.wait(0.49)
-    assert not rig.bus.output(1)
+    assert not rig.bus.output_level(1)
     rig.wait(0.02)
-    assert rig.bus.output(1)
-    assert [motion.end_counts for motion in rig.bus.motions] == [400, 1000]
+    assert rig.bus.output_level(1)
+    assert [motion.end_counts for motion in rig.bus.commanded_motions] == [400, 1000]
     # While it is pulled, what is started waits, and K forgets it.
     rig.bus.set_input(4, True)
     assert rig.ask("+10 F K F") == "Y B Y R"
@@ -223,9 +223,9 @@ def test_power_off_stops_the_motor_dead() -> None:
     rig.program("g+")
     rig.wait(1)
     rig.bus.set_power(False)
-    assert not rig.bus.moving("1")
+    assert not rig.bus.is_moving("1")
     assert rig.bus.at_rest()
-    assert rig.bus.motions[0].end_ns == S
+    assert rig.bus.commanded_motions[0].end_ns == S
     assert rig.clock.next_ns() is None
     rig.bus.set_power(True)
     rig.wait(0.1)
@@ -246,9 +246,9 @@ def test_checksum_is_a_raw_character() -> None:
     for place in range(1, 8):
         for command in ("Z", "K", "V1", "VA", "+100"):
             text = f"{place}{command}".encode()
-            reply = rig.raw(text + bytes((checksum(text),)) + b"\r")
+            reply = rig.raw(text + bytes((compute_checksum(text),)) + b"\r")
             assert reply.endswith(b"\r"), text
-            assert reply[-2] == checksum(reply[:-2]), text
+            assert reply[-2] == compute_checksum(reply[:-2]), text
     # A checksum that would be CR leaves the string open until something else follows.
     assert rig.raw(b"3Z\r") == b""
     assert rig.raw(b"4K\x7f\r") == b"E1v\rYY\r"
@@ -288,7 +288,7 @@ def test_multipoint_silence_and_one_address_twice() -> None:
     assert rig.raw(b"1\xc6\r") == b"E1\r"
     assert rig.ask("1F") == "R"
     assert rig.ask("2A1") == "Y Y"
-    assert (rig.bus.output(11), rig.bus.output(21), rig.bus.output(31)) == (False, True, True)
+    assert (rig.bus.output_level(11), rig.bus.output_level(21), rig.bus.output_level(31)) == (False, True, True)
     rig.wait(1)
     rig.bus.set_input(31, True)
     assert rig.raw(b"2V2\r") == b"V01\rV01\r"
@@ -312,7 +312,7 @@ def test_busy_answers_and_live_verify() -> None:
     assert Rig({"direct_moves": False}).ask("+10 A1") == "E4 Y"
     small = Rig({"type": "SMC30B"})
     assert small.ask("CS500 CR6000 CT6001") == "Y Y E4"
-    assert small.bus.unit("1").parameters.currents_ma == {"CS": 500, "CR": 6000, "CT": 1000}
+    assert small.bus.find_indexer("1").motor_parameters.currents_ma == {"CS": 500, "CR": 6000, "CT": 1000}
 
 
 def test_what_programming_mode_takes() -> None:
@@ -324,7 +324,7 @@ def test_register_programs() -> None:
     rig = Rig({"modules": {5: {2: 300}, 9: {41: 0}}})
     rig.program('R1=INPUT5.2 AO5.7 PRINT9.41.R1 PRINT255.0.R1 L0 R2=R2+n f+2 L=3 IFR2<>6 A1 PRINT255.0."done"')
     assert [said for _, said in rig.said[-2:]] == [b"300\r", b"done\r"]
-    modules = rig.bus.unit("1").modules
+    modules = rig.bus.find_indexer("1").modules
     assert (modules.flags, modules.shown) == ({(5, 7)}, {(9, 41): "300"})
     assert rig.ask("VR2 V2") == "R2=6 V00"
     # A loop without L0 is from the first line; 33 subroutines are one too many.
@@ -340,7 +340,7 @@ def test_sweep_of_the_top_rate() -> None:
     rig.program("f+0 T=100 T=T+50 IFT>4000 J7 +1000 J2 A1")
     rig.wait(300)
     assert rig.ask("F V1 V2") == "R V+78000 V01"
-    assert len(rig.bus.motions) == 78
+    assert len(rig.bus.commanded_motions) == 78
 
 
 def test_endless_loops_do_not_stop_the_clock() -> None:
@@ -390,18 +390,18 @@ def test_stop_conditions_of_n_and_na() -> None:
     assert rig.bus.velocity("1") == pytest.approx(100, abs=10)
     rig.wait(0.5)
     # The ramp of 1000 steps is made once more; then the second run goes back until input 1 is high.
-    top = rig.bus.motions[0].end_counts
+    top = rig.bus.commanded_motions[0].end_counts
     assert top is not None
     assert top == pytest.approx(1000 + 1000 * (3 - 2000 / 1100) + 1000, abs=2)
     assert rig.bus.velocity("1") < -100
     rig.bus.set_input(1, True)
     rig.wait(1)
     assert rig.ask("F V2") == "R V11"
-    assert len(rig.bus.motions) == 2
+    assert len(rig.bus.commanded_motions) == 2
 
 
 def test_decoding_takes_time_and_keeps_order() -> None:
-    rig = Rig(timing=Timing(decode_ns=2 * MS, spread_ns=MS))
+    rig = Rig(timing=FirmwareTiming(decode_ns=2 * MS, spread_ns=MS))
     rig.port.receive(b"F\rVT\rK5\r")
     assert not rig.said
     assert not rig.bus.at_rest()
@@ -428,6 +428,6 @@ def test_an_answer_that_makes_the_other_end_send_at_once() -> None:
 def test_wrong_options_and_ports_are_refused() -> None:
     for wrong in ({"speed": 1}, {"address": 8}, {"units": [{"address": 1, "baud": 110}]}, {"travel_steps": [5, 5]}):
         with pytest.raises(ValueError):
-            SMC30.build(EventQueue(), wrong)
+            SMC30.build_controller(EventQueue(), wrong)
     with pytest.raises(PortRefused):
-        SMC30.build(EventQueue(), {}).connect("tcp", lambda _: None, lambda: None)
+        SMC30.build_controller(EventQueue(), {}).connect("tcp", lambda _: None, lambda: None)

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import Branch, Timing, build_line
+from sim.core.controller import DeviceSpec, FirmwareTiming, build_line
 from sim.core.oscillator import Oscillator
 from sim.smc30 import SMC30
-from sim.smc30.framing import checksum
+from sim.smc30.framing import compute_checksum
 
 MS = 1_000_000
 
@@ -20,13 +20,13 @@ class Line:
         self.clock = EventQueue()
         names = [f"u{place}" for place in range(len(addresses))]
         branches = {
-            name: Branch(address, options or {}, Oscillator(), Timing(decode_ns=MS), seed=3)
+            name: DeviceSpec(address, options or {}, Oscillator(), FirmwareTiming(decode_ns=MS), seed=3)
             for name, address in zip(names, addresses, strict=True)
         }
         line = build_line(SMC30, self.clock, branches)
-        self.units = [line.units[name] for name in names]
+        self.units = [line.devices[name] for name in names]
         self.said = b""
-        self.port = line.far.connect("serial", self._heard, lambda: None)
+        self.port = line.endpoint.connect("serial", self._heard, lambda: None)
 
     def _heard(self, data: bytes) -> None:
         self.said += data
@@ -55,7 +55,7 @@ def test_only_the_unit_with_the_address_answers() -> None:
 def test_the_checksum_is_one_character_even_if_that_is_a_return() -> None:
     line = Line([3], {"checksum": True})
     text = b"3Z"
-    assert checksum(text) == 13
+    assert compute_checksum(text) == 13
     assert line.ask(text + b"\r\r") == b"YY\r"
     assert line.ask(b"3F\x00\r") == b"E1v\r"
 
@@ -89,8 +89,8 @@ def test_inputs_and_outputs_are_of_each_unit_by_itself() -> None:
     line.units[1].on_output(lambda number, level: heard.append((number, level)))
     assert line.ask(b"2A3\r") == b"Y\r"
     assert heard == [(3, True)]
-    assert line.units[1].output(3)
-    assert not line.units[0].output(3)
+    assert line.units[1].output_level(3)
+    assert not line.units[0].output_level(3)
     with pytest.raises(ValueError, match="input 5"):
         line.units[0].set_input(5, True)
 
@@ -98,24 +98,24 @@ def test_inputs_and_outputs_are_of_each_unit_by_itself() -> None:
 def test_motions_are_of_each_unit_by_itself() -> None:
     line = Line([1, 2])
     line.ask(b"2+10\r", 200)
-    assert [len(unit.motions) for unit in line.units] == [0, 1]
-    assert line.units[1].motions[0].axis == "1"
-    assert line.units[1].motions[0].end_counts == 10.0
+    assert [len(unit.commanded_motions) for unit in line.units] == [0, 1]
+    assert line.units[1].commanded_motions[0].axis == "1"
+    assert line.units[1].commanded_motions[0].end_counts == 10.0
 
 
 def test_an_input_is_seen_at_the_next_look_of_the_firmware() -> None:
     begun: list[float] = []
     for seed in range(20):
         clock = EventQueue()
-        branch = Branch(1, {"input_poll_ms": 1.0, "input_filter_ms": 0.1}, Oscillator(), Timing(), seed)
+        branch = DeviceSpec(1, {"input_poll_ms": 1.0, "input_filter_ms": 0.1}, Oscillator(), FirmwareTiming(), seed)
         line = build_line(SMC30, clock, {"u": branch})
-        port = line.far.connect("serial", lambda _: None, lambda: None)
+        port = line.endpoint.connect("serial", lambda _: None, lambda: None)
         for text in (b"1PO\r", b"1N11.19\r", b"1+10\r", b"1E\r"):
             port.receive(text)
         clock.run_until_ns(50 * MS)
-        line.units["u"].set_input(1, True)
+        line.devices["u"].set_input(1, True)
         clock.run_until_ns(500 * MS)
-        begun.append(line.units["u"].motions[0].start_ns / MS - 50)
+        begun.append(line.devices["u"].commanded_motions[0].start_ns / MS - 50)
     # The filter, up to one look, and the latency of 1 ms.
     assert 1.1 <= min(begun) < 1.4
     assert 1.8 < max(begun) <= 2.1
@@ -123,10 +123,10 @@ def test_an_input_is_seen_at_the_next_look_of_the_firmware() -> None:
 
 def test_units_of_one_line_must_agree_about_it() -> None:
     branches = {
-        name: Branch(place, {"baud": baud}, Oscillator(), Timing(), 0)
+        name: DeviceSpec(place, {"baud": baud}, Oscillator(), FirmwareTiming(), 0)
         for place, (name, baud) in enumerate((("a", 9600), ("b", 4800)), start=1)
     }
     with pytest.raises(ValueError, match="baud"):
         build_line(SMC30, EventQueue(), branches)
     with pytest.raises(ValueError, match="speed"):
-        build_line(SMC30, EventQueue(), {"a": Branch(1, {"speed": 1}, Oscillator(), Timing(), 0)})
+        build_line(SMC30, EventQueue(), {"a": DeviceSpec(1, {"speed": 1}, Oscillator(), FirmwareTiming(), 0)})

@@ -7,7 +7,7 @@ import pytest
 from unit.sim.desk import Desk
 
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import PortRefused, Timing
+from sim.core.controller import FirmwareTiming, PortRefused
 from sim.core.oscillator import Oscillator
 from sim.yaskawa import SMC4000
 
@@ -22,7 +22,7 @@ def test_a_move_is_recorded_with_its_true_start_and_end() -> None:
     desk = Desk(oscillator=Oscillator(drift_ppm=100.0))
     desk.ask("SHX", "PRX=25000", "BGX")
     desk.rest()
-    (motion,) = desk.unit.motions
+    (motion,) = desk.unit.commanded_motions
     seconds = 25000 / 25000 + 25000 / 256000
     samples = -(-seconds * 1024 // 1)
     assert motion.end_ns is not None
@@ -39,14 +39,14 @@ def test_an_idle_controller_schedules_nothing() -> None:
 
 @pytest.mark.parametrize("decode_ns", [0, 500_000])
 def test_the_gate_program_runs_its_contour_on_the_controllers_own_clock(decode_ns: int) -> None:
-    desk = Desk(timing=Timing(decode_ns=decode_ns), oscillator=Oscillator(drift_ppm=-80.0))
+    desk = Desk(timing=FirmwareTiming(decode_ns=decode_ns), oscillator=Oscillator(drift_ppm=-80.0))
     desk.ask(f"DL\r{GATE}\x1a", "DM DX[100]", "QD DX[],0,49\r" + ",".join(["16"] * 50) + "\x1a", "SH", wait_s=0.05)
     desk.ask("NS=50;NDT=3;LATE=0;TACT=0", "T0=TIME+300", "XQ #GOC,0", wait_s=0.05)
     assert desk.ask("MG _HX0{F2.0},LATE{F2.0}", wait_s=0.01) == " 02 00\r\n:"
     desk.rest()
     assert desk.ask("MG TACT-T0{F4.0},_SCX{F3.0},_SCW{F3.0}", wait_s=0.01) == " 0000 051 051\r\n:"
-    assert [desk.unit.position(axis) for axis in desk.unit.axes] == [800.0] * 4
-    for motion in desk.unit.motions:
+    assert [desk.unit.position(axis) for axis in desk.unit.axis_names] == [800.0] * 4
+    for motion in desk.unit.commanded_motions:
         assert motion.end_ns is not None
         assert motion.end_ns - motion.start_ns == pytest.approx(400 * SAMPLE_NS / (1 - 80e-6), abs=2)
 
@@ -81,7 +81,7 @@ def test_a_busy_loop_burns_few_events() -> None:
 
 
 def test_threads_share_the_interpreter_line_by_line() -> None:
-    desk = Desk(timing=Timing(decode_ns=500_000))
+    desk = Desk(timing=FirmwareTiming(decode_ns=500_000))
     desk.ask("A=0;B=0", "DL\r#A;A=A+1;JP#A\r#B;B=B+1;B=B+1;B=B+1;JP#B\r\x1a", "XQ#A,0;XQ#B,1", wait_s=0.05)
     desk.wait(6.0)
     desk.ask("HX", wait_s=0.05)
@@ -97,7 +97,7 @@ def test_power_off_stops_dead_and_power_on_runs_auto() -> None:
     place = desk.unit.position("X")
     desk.unit.set_power(False)
     assert desk.hung_up
-    (motion,) = desk.unit.motions
+    (motion,) = desk.unit.commanded_motions
     assert motion.end_counts == pytest.approx(place, abs=1)
     with pytest.raises(PortRefused):
         desk.open("tcp")
@@ -106,7 +106,7 @@ def test_power_off_stops_dead_and_power_on_runs_auto() -> None:
     desk.unit.set_power(True)
     desk.wait(0.01)
     desk.open("tcp")
-    assert desk.unit.output(3)
+    assert desk.unit.output_level(3)
     assert desk.ask("MG TIME{F5.0}") == " 00010\r\n:"
     assert desk.ask("MG _ACX{F7.0},_MOX{F1.0},_RPX{F3.0}") == " 0512000 1 000\r\n:"
 
@@ -197,7 +197,7 @@ def test_serial_echo_and_messages_of_programs() -> None:
 @pytest.mark.parametrize("options", [{"axes": 3}, {"colour": "red"}, {"handle": "J"}])
 def test_a_wrong_option_is_named(options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(options))):
-        SMC4000.build(EventQueue(), options)
+        SMC4000.build_controller(EventQueue(), options)
 
 
 def test_a_second_move_in_motion_is_refused_and_ip_extends_it() -> None:

@@ -8,7 +8,7 @@ from unit.sim.desk import Desk
 
 from orchestrator.clock.base import Timer
 from orchestrator.clock.queue import EventQueue
-from sim.core.controller import Timing
+from sim.core.controller import FirmwareTiming
 
 SETTINGS = ("PRX=40000", "SPX=50000", "ACX=500000", "DCX=500000", "XT0=2000", "XGO=0", "XLATE=0")
 PROGRAM = (
@@ -40,7 +40,7 @@ class PunctualQueue(LateQueue):
 
 def _started(clock: EventQueue) -> Desk:
     """With the program under way, a quarter of a second after power-up."""
-    desk = Desk(clock=clock, timing=Timing(decode_ns=300_000))
+    desk = Desk(clock=clock, timing=FirmwareTiming(decode_ns=300_000))
     desk.ask("SHX", wait_s=0.01)
     desk.ask("DL", PROGRAM + "\x1a", wait_s=0.01)
     desk.ask("\r".join(SETTINGS), wait_s=0.02)
@@ -64,7 +64,7 @@ def test_a_gate_that_is_polled_opens_and_begins_as_it_would_have(seed: int) -> N
             answers.append(desk.ask("XGO=1" if k == 5 else "MG _HX0,XOK,XLATE,TIME", wait_s=0.001))
         desk.wait(4.0 - clock.now_ns() * 1e-9)
         answers.append(desk.ask("MG XACT,XEND,XLATE,_RPX", wait_s=0.01))
-        told.append((answers, [(each.start_ns, each.end_ns) for each in desk.unit.motions]))
+        told.append((answers, [(each.start_ns, each.end_ns) for each in desk.unit.commanded_motions]))
         made.append(clock.made)
     assert told[0] == told[1]
     assert made[1] < made[0] / 3
@@ -78,7 +78,7 @@ def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
     )
     told: list[object] = []
     for clock in (PunctualQueue(), LateQueue()):
-        desk = Desk(clock=clock, timing=Timing(decode_ns=300_000))
+        desk = Desk(clock=clock, timing=FirmwareTiming(decode_ns=300_000))
         desk.ask("SHX", "DM DX[60]", wait_s=0.01)
         desk.ask("\r".join(f"DX[{k}]={10 + k % 7}" for k in range(20)), wait_s=0.1)
         desk.ask("DL", contour + "\x1a", wait_s=0.01)
@@ -86,9 +86,9 @@ def test_a_contours_records_follow_each_other_as_they_would_have() -> None:
         desk.ask("XQ #D,1", "XQ #C,0")
         for _ in range(100):
             desk.wait(0.011)
-            assert len(desk.unit.motions) <= 1  # somebody looks, too
+            assert len(desk.unit.commanded_motions) <= 1  # somebody looks, too
         answer = desk.ask("MG XEND,_RPX,_HX0", wait_s=0.01)
-        told.append((answer, [(each.start_ns, each.end_ns) for each in desk.unit.motions]))
+        told.append((answer, [(each.start_ns, each.end_ns) for each in desk.unit.commanded_motions]))
     assert told[0] == told[1]
 
 
@@ -124,6 +124,6 @@ def test_a_stop_on_another_handle_does_not_wait_for_what_may_be_late() -> None:
             assert clock.step()
         answered.append(clock.now_ns())
         desk.wait(0.5)
-        slowing.append(desk.unit.motions[-1].slowing_ns)
+        slowing.append(desk.unit.commanded_motions[-1].slowing_ns)
     assert slowing[0] is not None and slowing[0] == slowing[1]
     assert answered[1] - answered[0] <= 1_000_000

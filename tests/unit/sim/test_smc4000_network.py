@@ -7,9 +7,9 @@ import pytest
 from unit.sim.desk import Desk
 
 from orchestrator.link.supply import Supply
-from sim.core.controller import Connection, Send, Timing
+from sim.core.controller import FirmwareTiming, PortConnection, SendBytes
 from sim.yaskawa import SMC4000
-from sim.yaskawa.ports.network import Network
+from sim.yaskawa.ports.network import DeviceNetwork
 
 OTHER = "192,168,3,11"
 OTHER_NUMBER = int.from_bytes(bytes((192, 168, 3, 11)), "big") - (1 << 32)
@@ -25,7 +25,7 @@ class Device:
         self.hang_up: Callable[[], None] = lambda: None
         self.supply = Supply()
 
-    def connect(self, port: str, send: Send, closed: Callable[[], None]) -> Connection:
+    def connect(self, port: str, send: SendBytes, closed: Callable[[], None]) -> PortConnection:
         self._send, self.hang_up = send, closed
         return self
 
@@ -58,11 +58,13 @@ def pair(desk: Desk, latency_ns: int = 0) -> Desk:
     """Another controller on the same clock and network, with a host of its own."""
     other = Desk.__new__(Desk)
     other.clock, other.heard, other.hung_up = desk.clock, b"", False
-    other.unit = SMC4000.build(desk.clock, {"address": OTHER_NUMBER}, timing=Timing(decode_ns=500_000))
+    other.unit = SMC4000.build_controller(
+        desk.clock, {"address": OTHER_NUMBER}, timing=FirmwareTiming(decode_ns=500_000)
+    )
     other.open("tcp")
-    network = Network(latency_ns)
+    network = DeviceNetwork(latency_ns)
     for unit in (desk.unit, other.unit):
-        unit.join(network)
+        unit.join_network(network)
     return other
 
 
@@ -87,8 +89,8 @@ def test_one_controller_commands_another_and_reads_what_it_answers(latency_ns: i
 def test_messages_go_to_a_handle_and_a_lost_peer_calls_tcperr() -> None:
     """L9744, L15514, L5778."""
     desk = Desk()
-    device, network = Device(), Network()
-    desk.unit.join(network)
+    device, network = Device(), DeviceNetwork()
+    desk.unit.join_network(network)
     network.places[OTHER_NUMBER] = device
     device.receive = device.packets.append  # pyright: ignore[reportAttributeAccessIssue]
     desk.ask(f"IHD={OTHER}", "DL\r#A\rWT 100\rJP #A\r#TCPERR\rH=_IA4\rRE\r\x1a", "H=-1", "XQ #A", 'MG {ED}"HELLO"')
@@ -103,7 +105,7 @@ def test_messages_go_to_a_handle_and_a_lost_peer_calls_tcperr() -> None:
 def test_nobody_at_the_address_is_told_and_an_unanswered_command_times_out() -> None:
     """L5892, L5924, L10419."""
     desk = Desk()
-    desk.unit.join(Network())
+    desk.unit.join_network(DeviceNetwork())
     desk.ask("IHB=1,2,3,4")
     assert desk.ask("TC1") == "125 No ARP response from IP address\r\n:"
     assert desk.ask("MG _IHB2{F2.0},_IHB3{F1.0}") == "-06 1\r\n:"
@@ -116,8 +118,8 @@ def test_nobody_at_the_address_is_told_and_an_unanswered_command_times_out() -> 
 def test_modbus_packets_and_points() -> None:
     """L1824-L1898, L7277-L7380; SB 6002 is output 2 of the device on handle F (L3438)."""
     desk = Desk()
-    device, network = Device(), Network()
-    desk.unit.join(network)
+    device, network = Device(), DeviceNetwork()
+    desk.unit.join_network(network)
     network.places[OTHER_NUMBER] = device
     assert desk.ask("SB 6002") == "?"
     desk.ask(f"IHF={OTHER}<502>2", "DM A[4]")

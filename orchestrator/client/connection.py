@@ -1,0 +1,157 @@
+"""The connection to one fleet: the bus, the keys, and requests to the leader and to controllers."""
+
+import uuid
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from orchestrator.bus.base import Bus, NoReply, RequestRefused, RequestTimeout, Sample
+from orchestrator.bus.fleets import find_fleets
+from orchestrator.bus.keys import Keys
+from orchestrator.model.base import Model
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import Reply, Request
+
+if TYPE_CHECKING:
+    import asyncio
+
+M = TypeVar("M", bound=Model)
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+ANSWER_S = 3.0
+
+
+class FleetConnection:
+    """A connection to one fleet; use it as a context.
+
+    connect: the router, e.g. `tcp/127.0.0.1:7447`, or a bus. fleet: its name; None: the only one on the bus. actor:
+    the user or program that makes the requests, for journals and logs.
+    """
+
+    def __init__(
+        self,
+        connect: str | Bus = DEFAULT_ENDPOINT,
+        fleet: str | None = None,
+        actor: str = "api",
+        new_id: Callable[[], str] = lambda: uuid.uuid4().hex,
+    ) -> None:
+        self._endpoint = connect if isinstance(connect, str) else ""
+        self._bus = None if isinstance(connect, str) else connect
+        self._keys = None if fleet is None else Keys(fleet)
+        self.actor = actor
+        self.new_id = new_id
+
+    async def open(self) -> Self:
+        """Connect; entering the context does it. Raises `RouterUnreachable`, and `Refusal` with code `no-fleet` or
+        `which-fleet`."""
+        from orchestrator.bus.zenoh.bus import open_bus
+
+        if self._bus is None:
+            self._bus = await open_bus(self._endpoint)
+        if self._keys is None:
+            try:
+                self._keys = Keys(await find_only_fleet(self._bus))
+            except BaseException:
+                await self.close()
+                raise
+        return self
+
+    @property
+    def bus(self) -> Bus:
+        """The bus. Raises `RuntimeError` before `open`."""
+        if self._bus is None:
+            raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
+        return self._bus
+
+    @property
+    def keys(self) -> Keys:
+        """The keys of the fleet. Raises `RuntimeError` before `open`."""
+        if self._keys is None:
+            raise RuntimeError("not connected; use it as `async with Tutti(…) as tutti:`")
+        return self._keys
+
+    async def __aenter__(self) -> Self:
+        return await self.open()
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Disconnect. Safe to call twice."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            await bus.close()
+
+    @asynccontextmanager
+    async def subscribe_samples(self, *expressions: str) -> AsyncGenerator["asyncio.Queue[Sample]"]:
+        """A queue that receives every sample on the given key expressions while the context lasts."""
+        import asyncio
+
+        queue: asyncio.Queue[Sample] = asyncio.Queue()
+        declared = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
+        try:
+            yield queue
+        finally:
+            for each in declared:
+                await each.undeclare()
+
+    def request_fields(self) -> dict[str, Any]:
+        """The fields that every request has."""
+        return {"request_id": self.new_id(), "actor": self.actor}
+
+    async def request_service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
+        """Send a request to the leader and return its reply. Raises `Refusal`."""
+        absent = Refusal(
+            "no-coordinator", f"fleet {self.keys.fleet} has no active coordinator", "start one: `tutti up FLEET`"
+        )
+        return await self._request(self.keys.svc(verb), request, reply, timeout_s, absent)
+
+    async def request_controller(
+        self, controller: str, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S
+    ) -> M:
+        """Send a command to a controller's adapter and return its reply.
+
+        Raises `Refusal`; its text names the controller, because adapters know only their own axis names.
+        """
+        try:
+            return await self._request(
+                self.keys.cmd(controller, verb), request, reply, timeout_s, absence_refusal(controller)
+            )
+        except Refusal as error:
+            if error.controller != controller or controller in error.text:
+                raise
+            raise Refusal(error.code, f"{controller}: {error.text}", error.remedy, controller) from None
+
+    async def _request(self, key: str, request: Request, reply: type[M], timeout_s: float, absent: Refusal) -> M:
+        try:
+            received = reply.model_validate_json(await self.bus.request(key, request.to_json(), timeout_s))
+        except NoReply:
+            raise absent from None
+        except RequestTimeout as error:
+            raise Refusal("no-answer", str(error), "check whether that process hangs") from None
+        except RequestRefused as error:
+            raise Refusal("bad-request", str(error)) from None
+        if isinstance(received, Reply) and received.refused is not None:
+            raise received.refused.as_error()
+        return received
+
+
+async def find_only_fleet(bus: Bus) -> str:
+    """The name of the only fleet on the bus. Raises `Refusal`, code `no-fleet` or `which-fleet`."""
+    fleets = await find_fleets(bus)
+    if len(fleets) == 1:
+        return fleets[0]
+    if not fleets:
+        raise Refusal("no-fleet", "no fleet is on this bus", "start one: `tutti up FLEET`")
+    text = f"several fleets are on this bus: {', '.join(fleets)}"
+    raise Refusal("which-fleet", text, "choose one with --fleet")
+
+
+def absence_refusal(controller: str) -> Refusal:
+    """The refusal for a controller without an adapter on the bus."""
+    return Refusal(
+        "absent",
+        f"no adapter answers for controller {controller}",
+        "see `tutti status` for those that are there",
+        controller,
+    )

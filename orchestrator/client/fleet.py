@@ -1,0 +1,117 @@
+"""Requests about the whole fleet and its controllers: status, stops, reset, information."""
+
+import asyncio
+from typing import Any
+
+from orchestrator.bus.estop import put_estop
+from orchestrator.client.connection import ANSWER_S, FleetConnection, absence_refusal
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import Reply, Request, ResetRequest, StopRequest, TraceReply
+from orchestrator.model.service import FleetReloaded, ReloadFleet, StopFleet, WireFinding, WiringChecked
+from orchestrator.model.state import ControllerInfo, ControllerState
+
+STOP_STATUS_S = 0.3  # for finding the controllers to stop: an adapter that takes longer to answer hangs
+RELOAD_S = 60.0
+WIRING_S = 60.0
+
+
+class FleetRequests(FleetConnection):
+    """Watch, stop and reset the fleet."""
+
+    async def status(self, timeout_s: float = ANSWER_S) -> dict[str, ControllerState]:
+        """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`."""
+        replies = await self.bus.request_all(self.keys.state(), b"", timeout_s)
+        states = [ControllerState.model_validate_json(payload) for payload in replies.values()]
+        return {state.controller: state for state in sorted(states, key=lambda each: each.controller)}
+
+    async def stop(self, mode: str = "decelerate") -> dict[str, Refusal | None]:
+        """Stop every controller, directly, and the running jobs, and hold the queued ones.
+
+        Returns the refusal of each controller, by id; None where it has accepted the stop. mode: `decelerate`, or
+        `abort` for the shortest stop.
+        """
+        fleet = StopFleet(**self.request_fields(), mode="abort" if mode == "abort" else "decelerate")
+        request = StopRequest(**self.request_fields(), mode=fleet.mode)
+        # The coordinator stops all controllers and jobs, but may be away; so each adapter is addressed directly, too.
+        service = asyncio.ensure_future(self.request_service("stop", fleet, Reply))
+        controllers = list(await self.status(STOP_STATUS_S))
+        stops = [self.request_controller(controller, "stop", request, Reply) for controller in controllers]
+        *replies, _ = await asyncio.gather(*stops, service, return_exceptions=True)
+        return {
+            controller: reply if isinstance(reply, Refusal) else None
+            for controller, reply in zip(controllers, replies, strict=True)
+        }
+
+    async def estop(self, reason: str = "", timeout_s: float = 2.0) -> dict[str, bool]:
+        """Send an e-stop; return which controllers report its latch within `timeout_s`, by id."""
+        put_estop(self.bus, self.keys.fleet, f"{self.actor}-{self.new_id()[:8]}", self.actor, reason)
+        return await self.wait_for_latch(timeout_s)
+
+    async def wait_for_latch(self, timeout_s: float = 2.0) -> dict[str, bool]:
+        """Wait until all controllers report an e-stop latch, at most `timeout_s`; return which do, by id."""
+        latched: dict[str, bool] = {}
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not latched or not all(latched.values()):
+                    latched = {name: state.estop is not None for name, state in (await self.status()).items()}
+        except TimeoutError:
+            pass
+        return latched
+
+    async def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
+        """Release the e-stop latch named `event` (None: any) on every controller, and clear faults that can be cleared.
+
+        All controllers check first whether it is safe; if one refuses, none is released. Returns the refusal of each,
+        by id; None where it has been reset.
+        """
+        controllers = list(await self.status())
+        answers: dict[str, Refusal | None] = {}
+        for check in (True, False):
+            requests = [
+                self.request_controller(
+                    controller, "reset", ResetRequest(**self.request_fields(), event=event, check=check), Reply
+                )
+                for controller in controllers
+            ]
+            replies = await asyncio.gather(*requests, return_exceptions=True)
+            answers = {
+                controller: reply if isinstance(reply, Refusal) else None
+                for controller, reply in zip(controllers, replies, strict=True)
+            }
+            if any(answers.values()):
+                break
+        return answers
+
+    async def reload_fleet(self, fleet: Fleet) -> list[str]:
+        """Load another fleet file into the running fleet; return the controllers that have changed.
+
+        Raises `Refusal`.
+        """
+        request = ReloadFleet(**self.request_fields(), configuration=fleet.to_plain())
+        return (await self.request_service("reload", request, FleetReloaded, RELOAD_S)).changed
+
+    async def check_wiring(self) -> list[WireFinding]:
+        """Check each wire of the fleet file; nothing moves. Raises `Refusal` while wired axes are in use."""
+        request = Request(**self.request_fields())
+        return (await self.request_service("check-wiring", request, WiringChecked, WIRING_S)).wires
+
+    async def controller_info(self, controller: str) -> ControllerInfo:
+        """Identity, capabilities and configuration of a controller, as its adapter has it. Raises `Refusal`."""
+        request = Request(**self.request_fields())
+        return await self._request(
+            self.keys.info(controller), request, ControllerInfo, ANSWER_S, absence_refusal(controller)
+        )
+
+    async def axis_config(self, axis: str) -> dict[str, Any]:
+        """The configuration of `controller.axis`, as its adapter has it. Raises `Refusal`."""
+        controller, _, name = axis.partition(".")
+        info = await self.controller_info(controller)
+        if name not in info.axes:
+            text = f"{controller} has no axis {name!r}; its axes are: {', '.join(info.axes)}"
+            raise Refusal("unknown-axis", text, "see `tutti axis ls`")
+        return info.axes[name]
+
+    async def read_trace(self, controller: str) -> TraceReply:
+        """The last minute of bytes on a controller's link. Raises `Refusal`."""
+        return await self.request_controller(controller, "trace", Request(**self.request_fields()), TraceReply)

@@ -1,0 +1,101 @@
+"""Planning of a motion step: from the present state of the axes to profiles."""
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from orchestrator.bus.base import BusError
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, resolve_targets
+from orchestrator.model.errors import Refusal
+from orchestrator.model.job import Job, Move
+from orchestrator.model.names import controller_of
+from orchestrator.model.state import AxisState, ControllerInfo, ControllerState
+from orchestrator.plan.shape import PlanError
+from orchestrator.plan.step import Plan, plan_step
+
+
+@dataclass(frozen=True, slots=True)
+class StepRequest:
+    """A motion step of a job: step number `index`, the move, and the job with its defaults."""
+
+    job_id: str
+    job: Job
+    index: int
+    move: Move
+
+    @property
+    def max_start_skew_ns(self) -> int:
+        """The allowed start skew."""
+        return self.move.max_start_skew or self.job.max_start_skew
+
+    @property
+    def max_end_skew_ns(self) -> int | None:
+        """The allowed end skew, None if neither step nor job states one."""
+        return self.move.max_end_skew or self.job.max_end_skew
+
+    @property
+    def max_path_skew_ns(self) -> int | None:
+        """The allowed path skew, None if neither step nor job states one."""
+        return self.move.max_path_skew or self.job.max_path_skew
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStep:
+    """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller."""
+
+    request: StepRequest
+    resolved: ResolvedMove
+    plan: Plan
+    instances: Mapping[str, str]
+
+
+async def plan_request(
+    services: MotionServices, request: StepRequest, goal: Mapping[str, Fraction], seen_ns: int | None
+) -> PlannedStep:
+    """Plan a step from where its axes stand. Raises `Refusal`.
+
+    goal: exact targets from before a feed hold. seen_ns: since when nothing has been done with the axes; None: unknown.
+    """
+    names = list(request.move.to | request.move.by)
+    view = services.fleet.view
+    controllers = list(dict.fromkeys(controller_of(name) for name in names))
+    states: dict[str, AxisState] = {}
+    infos: dict[str, ControllerInfo] = {}
+    instances: dict[str, str] = {}
+    answers = await asyncio.gather(*(_query_controller(view, controller, seen_ns) for controller in controllers))
+    for controller, (state, info) in zip(controllers, answers, strict=True):
+        infos[controller], instances[controller] = info, state.instance
+        states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
+    missing = services.fleet.permits.find_missing(names)
+    if missing is not None:
+        raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+    resolved = resolve_targets(request.move, AxisContext(view.fleet, states, infos, services.targets), goal)
+    move = request.move
+    try:
+        plan = plan_step(resolved.moves, move.sync, move.speed, move.ramps)
+    except PlanError as error:
+        raise Refusal("plan", str(error)) from None
+    return PlannedStep(request, resolved, plan, instances)
+
+
+async def _query_controller(
+    view: FleetView, controller: str, seen_ns: int | None
+) -> tuple[ControllerState, ControllerInfo]:
+    try:
+        state, info = await view.query_state(controller, seen_ns), await view.query_info(controller)
+    except BusError as error:
+        raise Refusal(
+            "absent", f"{controller}: {error}", "check that its adapter host is running", controller
+        ) from None
+    if state.mode == "offline":
+        fault = state.faults[0] if state.faults else None
+        raise Refusal(
+            "offline",
+            f"{controller} is offline: {fault.text if fault else 'no link'}",
+            fault.remedy if fault else "check its link",
+            controller,
+        )
+    return state, info

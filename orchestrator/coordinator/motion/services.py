@@ -1,0 +1,27 @@
+"""The services that motion steps need."""
+
+from dataclasses import dataclass, field
+
+from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.journal.journal import Journal
+from orchestrator.coordinator.leadership.leadership import Leadership
+from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
+from orchestrator.plan.step import Targets
+
+
+@dataclass(frozen=True, slots=True)
+class MotionServices:
+    """Services and memory that the steps of one coordinator share.
+
+    execute: calls the journal. estimator: lead times of earlier steps. targets: exact targets of axes.
+    stop_times_ns: by controller, how long stopping its last step takes at most.
+    """
+
+    fleet: FleetAccess
+    leadership: Leadership
+    journal: Journal
+    execute: Executor
+    estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
+    targets: Targets = field(default_factory=Targets)
+    stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])

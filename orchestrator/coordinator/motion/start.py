@@ -1,0 +1,296 @@
+"""The start of a motion step, in two phases: arm all members, have all promise, decide, release.
+
+A failure before the decision moves nothing and disarms all; after it, one member that fails stops all others.
+"""
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.executor import run_while_recording
+from orchestrator.coordinator.fleet.permits import PermitWatch
+from orchestrator.coordinator.fleet.requests import ANSWER_S
+from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
+from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import (
+    ArmedReply,
+    ArmRequest,
+    CommitRequest,
+    DisarmedReply,
+    DisarmRequest,
+    GoRequest,
+    Reply,
+)
+from orchestrator.model.report import JobState
+
+ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
+ALIGN_ASK_NS = NS_PER_S  # closer to the start than this, clock readings do not improve any more
+FEED_HOLD = "feed-hold"  # code of a step that was paused, inside or before its motion: it can be resumed
+LATE = ("late", "no-answer")  # codes of members that were not quick enough
+LEAD_GROWTH = (None, 1, 2, 4)  # factors on the declared lead time for later armings, if the known one was too short
+
+StateCallback = Callable[[JobState, str], Coroutine[Any, Any, None]]
+
+
+@dataclass(slots=True)
+class StartState:
+    """The progress of a start.
+
+    arming_fleet_ns: start of the last arming. settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
+    last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
+    """
+
+    armed: Mapping[str, ArmedReply]
+    arming_fleet_ns: int = 0
+    settled_fleet_ns: int = 0
+    t0_fleet_ns: int = 0
+    unloaded: bool = False
+    decided: bool = False
+    paused_by: str | None = None
+
+
+class StartSequence:
+    """Runs the start of one step."""
+
+    def __init__(
+        self,
+        services: MotionServices,
+        request: StepRequest,
+        negotiation: StartNegotiation,
+        agreement: StartAgreement,
+        permit_watch: PermitWatch,
+    ) -> None:
+        self._services = services
+        self._fleet = services.fleet
+        self._requests = services.fleet.requests
+        self._leadership = services.leadership
+        self._estimator = services.estimator
+        self._request = request
+        self._negotiation = negotiation
+        self._agreement = agreement
+        self._permit_watch = permit_watch
+        self.state = StartState({})
+
+    async def run(self, on_state: StateCallback) -> None:
+        """Arm and release all members. A member that is late while nothing has moved is armed again, with more lead.
+
+        Raises `Refusal`: nothing moves.
+        """
+        state, agreement = self.state, self._agreement
+        late = Refusal("late", "")
+        for growth in LEAD_GROWTH:
+            self.require_not_paused()
+            if growth is not None:
+                self._fleet.log.warning(f"late; arming again with more lead ({late.text})", job=self._request.job_id)
+                await self._negotiation.renegotiate(agreement, growth)
+            elif self._request.move.align:
+                await on_state("arming", "")
+                await self._await_alignment()
+            state.arming_fleet_ns = self._leadership.fleet_now_ns()
+            agreement.advance_ns = agreement.tick_residual_ns = 0
+            state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
+            try:
+                await run_while_recording(on_state("arming", ""), self._arm())
+                await self._judge_frozen_mappings()
+                await self._require_time("arming took longer than its lead time")
+                await self._release(on_state, 2 * (growth or 0) or 1)
+            except Refusal as refused:
+                # A member that does not answer may be busy.
+                if refused.code not in LATE or not state.unloaded:
+                    raise
+                late = refused
+                if state.decided:
+                    await self._withdraw_decision()
+            else:
+                return
+        text = f"arming takes longer than the members declare, with every lead time: {late.text}"
+        raise Refusal("late", text, "check the log of the adapters, and the load of this machine", late.controller)
+
+    def require_not_paused(self) -> None:
+        """Raises `Refusal` when the step was paused before its motion."""
+        if self.state.paused_by is not None:
+            raise Refusal(FEED_HOLD, f"paused by {self.state.paused_by} before it began")
+
+    # Phase 1: arm
+
+    async def _await_alignment(self) -> None:
+        """Wait until arming leads to the instant at which the members' ticks coincide best. Proposals are renewed
+        meanwhile, because predictions of ticks improve towards that instant."""
+        agreement, clock = self._agreement, self._fleet.clock
+        ends_ns = self._leadership.fleet_now_ns() + agreement.lead_ns + self._request.move.align
+        while True:
+            earliest_ns = self._leadership.fleet_now_ns() + agreement.lead_ns
+            best_ns = agreement.choose_start(earliest_ns, max(0, ends_ns - earliest_ns))
+            wait_ns = best_ns - earliest_ns - ALIGN_EARLY_NS
+            await sleep_ns(clock, max(0, wait_ns if wait_ns < ALIGN_ASK_NS else wait_ns // 2))
+            await self._negotiation.renegotiate(agreement, None)
+            if wait_ns < ALIGN_ASK_NS:
+                return
+
+    async def _arm(self) -> None:
+        agreement, t0_ns = self._agreement, self.state.t0_fleet_ns
+        ends_ns = t0_ns + round(agreement.plan.duration_s * NS_PER_S)
+        end_ns = agreement.choose_start(ends_ns) - t0_ns
+        requests = {
+            member: ArmRequest(
+                **self._reference(),
+                digest=self._fleet.view.fleet.controllers[member].digest,
+                t0_fleet_ns=self._member_t0_ns(member),
+                profiles=agreement.profiles(member),
+                start=options.model_copy(update={"end_ns": end_ns}),
+            )
+            for member, options in self._negotiation.start_options(agreement, agreement.proposals).items()
+        }
+        declared_ns = {name: each.costs.arm_ns if each.costs else 0 for name, each in agreement.proposals.items()}
+        timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
+        took_ns = dict[str, int]()
+        self.state.armed = await self._requests.request_all(
+            "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
+        )
+        await self._disarm_if_refused(self.state.armed)
+        self._estimator.record_arming(declared_ns, took_ns)
+
+    async def _judge_frozen_mappings(self) -> None:
+        """Judge the budget again, with the clock mappings that are frozen into what is armed."""
+        try:
+            self._negotiation.judge(self._agreement, self.state.armed)
+        except Refusal:
+            await self.disarm()
+            raise
+
+    async def _require_time(self, late: str) -> None:
+        """Require time for the rest of the start, and for disarming if that fails. Raises `Refusal`; all are
+        disarmed."""
+        agreement = self._agreement
+        needs_ns = self._estimator.go_ns(len(agreement.proposals))
+        if self._leadership.fleet_now_ns() + needs_ns + agreement.disarm_ns >= self.state.t0_fleet_ns:
+            await self.disarm()
+            raise Refusal("late", late)
+
+    # Phase 2: promise, decide, release
+
+    async def _release(self, on_state: StateCallback, go_factor: int) -> None:
+        """Have all promise, settle T0, record the decision, release. Raises `Refusal`; all are disarmed or stopped.
+
+        go_factor: on the time that `go` gets; beyond it, unused lead time is not waited for.
+        """
+        state, agreement, clock = self.state, self._agreement, self._fleet.clock
+        armed_ns = clock.now_ns()
+        await run_while_recording(on_state("armed", ""), self._commit())
+        if state.paused_by is not None:
+            await self.disarm()
+            self.require_not_paused()
+        lost = self._permit_watch.describe_loss()
+        if lost is not None:
+            await self.disarm()
+            raise Refusal("permit", lost, "satisfy the permit, then resubmit the job")
+        # After the decision a late member fails the step; before it, all are armed again.
+        estimator, promised_ns = self._estimator, clock.now_ns()
+        try:
+            await self._require_time("promises took longer than their lead time")
+        except Refusal:
+            estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
+            raise
+        state.settled_fleet_ns = self._leadership.fleet_now_ns()
+        go_ns = go_factor * estimator.go_ns(len(agreement.proposals), promised_ns - armed_ns)
+        spare_ns = state.t0_fleet_ns - (state.settled_fleet_ns + go_ns) - agreement.disarm_ns
+        self._negotiation.advance(agreement, state.armed, spare_ns)
+        state.t0_fleet_ns -= agreement.advance_ns
+        await self._record_decision()
+        if self._leadership.over:
+            await self.disarm()
+            raise Refusal("leadership-lost", "another coordinator has taken over")
+        state.decided = True
+        await run_while_recording(on_state("committed", ""), self._go())
+        estimator.record_release(clock.now_ns() - armed_ns, clock.now_ns() - promised_ns)
+
+    async def _commit(self) -> None:
+        agreement = self._agreement
+        requests = {
+            member: CommitRequest(**self._reference(), t0_fleet_ns=self._member_t0_ns(member))
+            for member in agreement.proposals
+        }
+        left_ns = self.state.t0_fleet_ns - self._leadership.fleet_now_ns()
+        # An answer after that would leave no time for `go`.
+        useful_ns = left_ns - self._estimator.go_ns(len(agreement.proposals)) - agreement.disarm_ns
+        wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
+        await self._disarm_if_refused(await self._requests.request_all("commit", requests, Reply, wait_s))
+
+    async def _record_decision(self) -> None:
+        request, services = self._request, self._services
+        members, utc = ",".join(self._agreement.proposals), self._fleet.clock.utc()
+        record = services.journal.record_decision
+        decision = (request.job_id, request.index, self._leadership.epoch, self.state.t0_fleet_ns, members, utc)
+        await services.execute(record, *decision)
+
+    async def _withdraw_decision(self) -> None:
+        """A decision is for one start only. No member has started, and all have confirmed it: the decision is
+        withdrawn, and the next arming gets one of its own."""
+        withdraw = self._services.journal.withdraw_decision
+        await self._services.execute(withdraw, self._request.job_id, self._request.index, self.state.t0_fleet_ns)
+        self.state.decided = False
+
+    async def _go(self) -> None:
+        """After the decision: a member that cannot go stops all others before, or just after, they start."""
+        agreement = self._agreement
+        requests = {
+            member: GoRequest(
+                **self._reference(),
+                t0_fleet_ns=self._member_t0_ns(member),
+                advance_ns=agreement.advance_ns,
+                start_tolerance_ns=agreement.start_tolerance_ns,
+            )
+            for member in agreement.proposals
+        }
+        left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
+        # Answers are waited for only while the other members can still be disarmed.
+        wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - agreement.disarm_ns / NS_PER_S)))
+        released = await self._requests.request_all("go", requests, Reply, wait_s)
+        if any(reply.refused is not None and reply.refused.code in LATE for reply in released.values()):
+            self._estimator.record_late_go(len(agreement.proposals))
+        await self._disarm_if_refused(released)
+
+    # Withdrawal
+
+    async def _disarm_if_refused(self, replies: Mapping[str, Reply]) -> None:
+        refused = next((reply.refused for reply in replies.values() if reply.refused is not None), None)
+        if refused is None:
+            return
+        await self.disarm()
+        raise refused.as_step_error()
+
+    async def disarm(self) -> None:
+        """Unload all members, each independently of the others' silence; one that reports motion or does not answer is
+        stopped as well."""
+        movers, state = self._agreement.movers, self.state
+        state.unloaded = True
+
+        async def unload_member(member: str) -> None:
+            request = DisarmRequest(**self._reference())
+            reply = await self._requests.request(member, "disarm", request, DisarmedReply, ANSWER_S)
+            state.unloaded = state.unloaded and not reply.may_have_started
+            if reply.refused is not None and member in movers:
+                state.unloaded = False
+                actor = self._request.job.actor
+                await self._fleet.stop_members([member], "decelerate", actor, "disarm did not succeed")
+
+        await asyncio.gather(*(unload_member(member) for member in self._agreement.proposals))
+
+    async def disarm_line_driver(self) -> None:
+        """Unload the driver of the trigger line if it moves no axis in the step; another job may be moving its axes,
+        so it is not stopped."""
+        line = self._agreement.line
+        if line is not None and line.driver not in self._agreement.movers:
+            await self._requests.request(line.driver, "disarm", DisarmRequest(**self._reference()), Reply, ANSWER_S)
+
+    def _member_t0_ns(self, member: str) -> int:
+        """The member's own T0, fleet time."""
+        return self.state.t0_fleet_ns + self._agreement.shift_ns(member)
+
+    def _reference(self) -> dict[str, Any]:
+        request = self._request
+        return {**self._requests.request_fields(request.job.actor), "job": request.job_id, "step": request.index}

@@ -1,0 +1,124 @@
+"""Supervision of a motion step from its start to its end."""
+
+import asyncio
+
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.coordinator.fleet.permits import PermitWatch
+from orchestrator.coordinator.motion.negotiation import StartAgreement
+from orchestrator.coordinator.motion.planning import PlannedStep
+from orchestrator.coordinator.motion.report import make_member_report, narrow_evidence
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.start import StartState
+from orchestrator.model.report import MemberReport
+from orchestrator.model.state import ControllerEvent
+
+STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has reported its start
+STARTED_TURN_NS = 150 * NS_PER_MS  # added for each other controller on its line
+SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has reported its end
+POLL_S = 0.05
+
+Failure = tuple[str, str]
+"""The kind of event that ended the step, and the reason."""
+
+
+class StepWatch:
+    """Waits for the start and the end of every member.
+
+    reports: by member. failure: why the step must be stopped, None if it is done. paused: a feed hold ended it.
+    """
+
+    def __init__(
+        self,
+        services: MotionServices,
+        planned: PlannedStep,
+        agreement: StartAgreement,
+        state: StartState,
+        permit_watch: PermitWatch,
+    ) -> None:
+        self._services = services
+        self._planned = planned
+        self._agreement = agreement
+        self._state = state
+        self._permit_watch = permit_watch
+        self._waiting_start = set[str]()
+        self._waiting_end = set[str]()
+        self._events: asyncio.Queue[ControllerEvent | None] = asyncio.Queue()
+        self._removals = [
+            services.fleet.view.add_event_listener(self._events.put_nowait),
+            services.fleet.permits.add_loss_listener(lambda: self._events.put_nowait(None)),
+        ]
+        self.reports: dict[str, MemberReport] = {}
+        self.failure: Failure | None = None
+        self.paused = False
+
+    def close(self) -> None:
+        """Remove the listeners."""
+        for remove in self._removals:
+            remove()
+
+    async def run(self) -> None:
+        """Return as soon as all members have ended, or one has failed."""
+        agreement, fleet = self._agreement, self._services.fleet.view.fleet
+        self._waiting_start, self._waiting_end = set(agreement.proposals), set(agreement.proposals)
+        longest_s = max(max(proposal.durations_s.values(), default=0.0) for proposal in agreement.proposals.values())
+        axes = [fleet.axis(axis) for axis in agreement.plan.profiles]
+        settle_s = max((axis.in_position_timeout_s for axis in axes if axis.done == "in_position"), default=0.0)
+        ends_ns = self._state.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
+        self.reports = {
+            member: make_member_report(agreement, self._state.armed[member], member) for member in agreement.proposals
+        }
+        while self._waiting_end and self.failure is None:
+            event = await self._next_event()
+            if event is not None:
+                self._take_event(event)
+            self.failure = self.failure or self._find_overdue(ends_ns)
+
+    def _take_event(self, event: ControllerEvent) -> None:
+        member = event.controller
+        ended = event.kind == "done" or (event.kind == "stopped" and self._state.paused_by is not None)
+        if event.kind == "started" or ended:
+            self._waiting_start.discard(member)
+            self._add_evidence(member, event)
+        if ended:
+            self._waiting_end.discard(member)
+            self.paused = self.paused or event.kind == "stopped"
+        elif event.kind in ("failed", "stopped", "disarmed"):
+            self.failure = (event.kind, f"{member}: {event.text}")
+
+    def _add_evidence(self, member: str, event: ControllerEvent) -> None:
+        budget, t0_ns = self._agreement.budget, self._state.t0_fleet_ns
+        evidence = {axis: narrow_evidence(budget, t0_ns, member, each) for axis, each in event.evidence.items()}
+        self.reports[member] = self.reports[member].model_copy(update={"evidence": evidence})
+
+    def _find_overdue(self, ends_ns: int) -> Failure | None:
+        """What has not happened although it should have by now, or no longer holds."""
+        now_ns, view = self._services.leadership.fleet_now_ns(), self._services.fleet.view
+        for member in sorted(self._waiting_end):
+            absence = view.describe_absence(member, self._planned.instances.get(member))
+            if absence is not None:
+                return "failed", f"{member}: {absence}"
+        lost = self._permit_watch.describe_loss()
+        if lost is not None:
+            return "failed", lost
+        # Controllers on one line are polled in turn, or are armed for other jobs.
+        neighbours = max(view.neighbours[member] for member in self._agreement.proposals)
+        if self._waiting_start and now_ns > self._state.t0_fleet_ns + STARTED_NS + neighbours * STARTED_TURN_NS:
+            return "failed", f"{min(self._waiting_start)}: promised, but has not started"
+        if self._waiting_end and now_ns > ends_ns + SETTLE_NS:
+            return "failed", f"{min(self._waiting_end)}: has not reached its end"
+        return None
+
+    async def _next_event(self) -> ControllerEvent | None:
+        """The next event of this step; None after a while, or when a permit was lost."""
+        try:
+            async with asyncio.timeout(POLL_S):
+                event = await self._events.get()
+        except TimeoutError:
+            return None
+        if event is None:
+            return None
+        request = self._planned.request
+        ours = (event.job, event.step) == (request.job_id, request.index)
+        # Members that were armed again have reported that they were disarmed before.
+        stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < self._state.arming_fleet_ns
+        return event if ours and event.controller in self._agreement.proposals and not stale else None

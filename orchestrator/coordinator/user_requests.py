@@ -1,0 +1,207 @@
+"""Requests of users to the leader: one table of verbs, and one place where an error becomes a reply."""
+
+from collections.abc import Awaitable, Callable
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from orchestrator.bus.answers import Answers
+from orchestrator.bus.base import RequestRefused, Sample
+from orchestrator.bus.keys import Keys
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.coordinator.fleet.manual import ManualLeases
+from orchestrator.coordinator.jobs.intake import JobIntake
+from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
+from orchestrator.coordinator.jobs.scheduler import Scheduler
+from orchestrator.coordinator.journal.journal import JournalError
+from orchestrator.coordinator.maintenance.reload import FleetReload
+from orchestrator.coordinator.maintenance.wiring import WiringCheck
+from orchestrator.model.base import Model, UnknownName
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import RefusalDetails, Reply, Request
+from orchestrator.model.report import QueueState
+from orchestrator.model.service import (
+    AcquireAxes,
+    AxesAcquired,
+    FleetReloaded,
+    JobReference,
+    JobReferences,
+    JobRetried,
+    JobShown,
+    JobsPruned,
+    JobSubmitted,
+    ListJobs,
+    PauseJob,
+    PruneJobs,
+    RecordingReference,
+    RecordingReply,
+    ReleaseAxes,
+    ReloadFleet,
+    ReorderJob,
+    RetryJob,
+    StopFleet,
+    SubmitJob,
+    WiringChecked,
+)
+
+
+class Verb(NamedTuple):
+    """One verb of `svc/{verb}`. cached: a repeated request gets the first answer; not so where a verb only reads,
+    because its answers are large and it may be executed twice."""
+
+    request: type[Request]
+    reply: type[Model]
+    handler: Callable[[Any], Awaitable[Model]]
+    cached: bool = True
+
+
+class UserRequests:
+    """Answers `svc/*`. A handler returns its reply or raises `Refusal`, `UnknownName` or `JournalError`."""
+
+    def __init__(
+        self,
+        services: JobServices,
+        intake: JobIntake,
+        scheduler: Scheduler,
+        manual: ManualLeases,
+        maintenance: tuple[FleetReload, WiringCheck],
+    ) -> None:
+        self._services = services
+        self._intake = intake
+        self._scheduler = scheduler
+        self._leases: LeaseRegistry = services.leases
+        self._reload, self._wiring = maintenance
+        self._keys: Keys = services.keys
+        self._answers = Answers()
+        self._verbs = {
+            "submit": Verb(SubmitJob, JobSubmitted, intake.submit_job),
+            "list": Verb(ListJobs, QueueState, self._list_jobs, cached=False),
+            "show": Verb(JobReference, JobShown, self._show_job, cached=False),
+            "recording": Verb(RecordingReference, RecordingReply, self._load_recording, cached=False),
+            "cancel": Verb(JobReference, Reply, self._cancel_job),
+            "retry": Verb(RetryJob, JobRetried, intake.retry_job),
+            "hold": Verb(JobReferences, Reply, self._hold_jobs),
+            "release": Verb(JobReferences, Reply, self._release_jobs),
+            "reorder": Verb(ReorderJob, Reply, self._reorder_job),
+            "pause": Verb(PauseJob, Reply, self._pause_job),
+            "resume": Verb(JobReference, Reply, self._resume_job),
+            "prune": Verb(PruneJobs, JobsPruned, self._prune_jobs),
+            "stop": Verb(StopFleet, Reply, self._stop_fleet),
+            "acquire-axes": Verb(AcquireAxes, AxesAcquired, manual.acquire),
+            "release-axes": Verb(ReleaseAxes, Reply, self._release_axes),
+            "reload": Verb(ReloadFleet, FleetReloaded, self._reload_fleet),
+            "check-wiring": Verb(Request, WiringChecked, self._check_wiring),
+        }
+
+    async def answer(self, sample: Sample) -> bytes:
+        """Answer one request. Raises `RequestRefused` for one that is not valid, and when the leadership is lost."""
+        name = self._keys.verb_of(sample.key)
+        verb = self._verbs.get(name)
+        if verb is None:
+            raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(self._verbs))}")
+        try:
+            request = verb.request.model_validate_json(sample.payload)
+        except ValidationError as error:
+            raise RequestRefused(f"{name}: {_first_problem(error)}") from None
+        if self._services.leadership.over:
+            raise RequestRefused("this coordinator is no longer the leader; send the request again")
+        if not verb.cached:
+            return await self._execute(verb, request)
+        return await self._answers.once(name, request.request_id, lambda: self._execute(verb, request))
+
+    async def _execute(self, verb: Verb, request: Request) -> bytes:
+        try:
+            return (await verb.handler(request)).to_json()
+        except Refusal as error:
+            refused = RefusalDetails.of(error)
+        except UnknownName as error:
+            refused = RefusalDetails(code="unknown-name", text=str(error), remedy="see `tutti axis ls`")
+        except JournalError as error:
+            self._services.log.warning(str(error))
+            refused = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)
+        if not issubclass(verb.reply, Reply):  # it has no field for a refusal
+            raise RequestRefused(f"{refused.text}; {refused.remedy}")
+        return verb.reply(refused=refused).to_json()
+
+    # Jobs
+
+    async def _list_jobs(self, request: ListJobs) -> QueueState:
+        services = self._services
+        values = (request.limit, request.state, request.name, request.since or "")
+        records, total = await services.execute(services.journal.find_jobs, *values)
+        return QueueState(total=total, jobs=self._scheduler.make_entries(records))
+
+    async def _show_job(self, request: JobReference) -> JobShown:
+        journal, execute = self._services.journal, self._services.execute
+        record = await execute(journal.load_record, request.job_id)
+        if record is None:
+            raise Refusal("unknown-job", f"no job {request.job_id}", "see `tutti job ls`")
+        job, report = await execute(journal.load_job, record.id), await execute(journal.load_report, record.id)
+        return JobShown(
+            entry=self._scheduler.make_entry(record),
+            job=job,
+            report=report,
+            transitions=await execute(journal.list_transitions, record.id),
+        )
+
+    async def _load_recording(self, request: RecordingReference) -> RecordingReply:
+        services = self._services
+        recording = await services.execute(services.journal.load_recording, request.job_id, request.step)
+        return RecordingReply(recording=recording)
+
+    async def _cancel_job(self, request: JobReference) -> Reply:
+        await self._scheduler.cancel_job(request.job_id, request.actor)
+        return Reply()
+
+    async def _hold_jobs(self, request: JobReferences) -> Reply:
+        await self._scheduler.hold_jobs(request.job_ids, request.actor)
+        return Reply()
+
+    async def _release_jobs(self, request: JobReferences) -> Reply:
+        await self._scheduler.release_jobs(request.job_ids, request.actor)
+        return Reply()
+
+    async def _reorder_job(self, request: ReorderJob) -> Reply:
+        await self._scheduler.reorder_job(request.job_id, request.before, request.actor)
+        return Reply()
+
+    async def _pause_job(self, request: PauseJob) -> Reply:
+        await self._scheduler.pause_job(request.job_id, request.actor, now=request.now)
+        return Reply()
+
+    async def _resume_job(self, request: JobReference) -> Reply:
+        await self._scheduler.resume_job(request.job_id, request.actor)
+        return Reply()
+
+    async def _prune_jobs(self, request: PruneJobs) -> JobsPruned:
+        return JobsPruned(jobs=await self._intake.prune_jobs(request))
+
+    async def _stop_fleet(self, request: StopFleet) -> Reply:
+        interrupt = JobInterrupted("aborted", f"stopped by {request.actor}", request.actor)
+        await self._scheduler.stop_jobs(interrupt, request.mode)
+        return Reply()
+
+    # Axes and fleet
+
+    async def _release_axes(self, request: ReleaseAxes) -> Reply:
+        await self._leases.release(request.holder)
+        return Reply()
+
+    async def _reload_fleet(self, request: ReloadFleet) -> FleetReloaded:
+        try:
+            fleet = Fleet.model_validate(request.configuration)
+        except ValidationError as error:
+            raise Refusal("bad-file", _first_problem(error), "correct the fleet file") from None
+        changed = await self._reload.load_fleet(fleet, request.actor)
+        self._scheduler.forget_needs()
+        self._services.log.info(f"reloaded by {request.actor}: {', '.join(changed) or 'no controller has changed'}")
+        return FleetReloaded(changed=changed)
+
+    async def _check_wiring(self, request: Request) -> WiringChecked:
+        return WiringChecked(wires=await self._wiring.check_wires(request.actor))
+
+
+def _first_problem(error: ValidationError) -> str:
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

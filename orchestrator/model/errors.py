@@ -1,0 +1,38 @@
+"""The errors of Tutti: one tree below `TuttiError`.
+
+An error carries what a user needs: what is wrong, with which value, and what to do about it. `str(error)` is that text.
+"""
+
+
+class TuttiError(Exception):
+    """The root of all errors that Tutti raises on purpose."""
+
+
+class Refusal(TuttiError):
+    """A request that was not carried out; nothing has moved because of it.
+
+    code: for programs; it does not change between versions. text: what is wrong. remedy: what to do about it, may be
+    empty. controller: the controller that refuses, None where it is the service itself or the adapter's own.
+    """
+
+    def __init__(self, code: str, text: str, remedy: str = "", controller: str | None = None) -> None:
+        super().__init__(text)
+        self.code = code
+        self.text = text
+        self.remedy = remedy
+        self.controller = controller
+
+
+class ControllerFault(TuttiError):
+    """A controller that does not do what its manual says: silence, garbage, or an error that it reports.
+
+    code: for programs. text, remedy: what happened, and what to do. axis: the axis concerned, by its name in the fleet
+    file; None: the whole controller.
+    """
+
+    def __init__(self, code: str, text: str, remedy: str, axis: str | None = None) -> None:
+        super().__init__(text)
+        self.code = code
+        self.text = text
+        self.remedy = remedy
+        self.axis = axis
